@@ -17,7 +17,6 @@ from helpers.places import bundled_path
 
 from dvrk_cmaes import EstimateConfig, FrameData, InputError, ReadingSeries, SessionFrame, load_instrument, read_session
 from dvrk_cmaes.calibration.lag import SessionLag
-from dvrk_cmaes.calibration.lasting_errors import LastingSize
 from dvrk_cmaes.calibration.session_problem import ArmSession, ArmSetup
 from dvrk_cmaes.calibration.session_trials import started
 from dvrk_cmaes.camera.files import read_camera_file, read_intrinsics
@@ -84,7 +83,6 @@ def test_two_frames_of_one_time_count_as_one_moment(reports: Path, run: Run) -> 
     session = read_session(reports / "time-twice")
     times = np.array([frame.time for frame in session.frames], np.float64)
     assert len(set(times.tolist())) < len(times)
-    np.linalg.cholesky(LastingSize(0.4, 0.2).correlation(times))
     Path("quick.toml").write_text("[search]\nsamples = 64\nstarts = 1\nevaluations = 60\n")
     options = ("--no-video", "--no-page", "--causal", "--config", "quick.toml")
     done = run("track", reports / "time-twice", "--out", "tracks", *options)

@@ -8,8 +8,9 @@ from typing import Final, Literal
 
 import numpy as np
 
+from dvrk_cmaes.calibration import autocorrelated_errors
+from dvrk_cmaes.calibration.autocorrelated_errors import without_sides
 from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Mode
-from dvrk_cmaes.calibration.lasting_errors import SINGLE_SIZE, USUAL_SIZE, LastingSize, without_lasting
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, OutlineConfig
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
@@ -20,7 +21,7 @@ from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, refine
 from dvrk_cmaes.pose.refine.selection import ALL, Selection
 from dvrk_cmaes.pose.terms.coverage import Coverage, DrawnCoverage
 from dvrk_cmaes.pose.terms.expected import Expected
-from dvrk_cmaes.pose.terms.shared_errors import LASTING, side_deviation
+from dvrk_cmaes.pose.terms.shared_errors import SIDES
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_costs, sum_of_locals
 from dvrk_cmaes.pose.terms.tips_term import terms_of_frame
@@ -88,10 +89,7 @@ class FrameFit(LocalFit):
     """A frame's pose, fitted to its outlines with the session's prior.
 
     ``evaluations`` is the number of silhouettes that were rendered. ``iou`` is the intersection over union of the fit's
-    silhouette and the mask; ``own_iou`` is that of the frame's own estimate, 0 if not given. ``lasting`` are the
-    outline's terms as functions of S further unknowns, (1, D + S): the errors of the masks that last from frame to
-    frame, in their usual standard deviations, of which the first view's is ``side_px``. These errors are eliminated
-    from the others.
+    silhouette and the mask; ``own_iou`` is that of the frame's own estimate, 0 if not given.
     ``side_offsets`` (2,), px, are by how much the first view's mask lies outwards of both sides of the shaft; None
     where that is not measured. ``by_masks`` (D, 7) is the change of ``information`` times what the outline tells of the
     pose, per px of the mean errors of all masks (`mean_errors`); None where that is not measured.
@@ -100,23 +98,8 @@ class FrameFit(LocalFit):
     evaluations: int = 0
     iou: float = 1.0
     own_iou: float = 0.0
-    lasting: Quadratic | None = None
-    side_px: float = 0.0
     side_offsets: Float64 | None = None
     by_masks: Float64 | None = None
-
-    @property
-    def whole_outline(self) -> Quadratic:
-        """The outline's terms with the errors that last, (1, D + S)."""
-        alone = Quadratic(self.information[None], self.slope[None])
-        return alone if self.lasting is None else self.lasting
-
-    def with_size(self, size: LastingSize) -> FrameFit:
-        """Return the fit with errors that last of another size."""
-        if self.lasting is None:
-            return self
-        left = without_lasting(self.lasting, self.lasting.dimension - len(self.slope), size)
-        return replace(self, information=left.information[0], slope=left.slope[0])
 
     @property
     def explains_mask(self) -> bool:
@@ -134,8 +117,7 @@ class FrameFit(LocalFit):
     def moved_to(self, expected: Expected) -> FrameFit:
         """Return the fit where it would be with another prior, as in `step_to`, with the outline's slope there."""
         step = self._step(expected)[0]
-        lasting = None if self.lasting is None else _after(self.lasting, step)
-        return replace(self, at=self.at.moved(step), slope=self.slope + self.information @ step, lasting=lasting)
+        return replace(self, at=self.at.moved(step), slope=self.slope + self.information @ step)
 
     def _step(self, expected: Expected) -> tuple[Float64, Float64]:
         """Return the change (D,) of the fit with another prior, and the slope (D,) there, whose minimum it is."""
@@ -145,10 +127,7 @@ class FrameFit(LocalFit):
 
     def without_outline(self) -> FrameFit:
         """Return the fit with zero information and slope, so that it does not influence the calibration."""
-        nothing = None if self.lasting is None else Quadratic.zero(1, self.lasting.dimension)
-        return replace(
-            self, information=np.zeros_like(self.information), slope=np.zeros_like(self.slope), lasting=nothing
-        )
+        return replace(self, information=np.zeros_like(self.information), slope=np.zeros_like(self.slope))
 
 
 @dataclass(frozen=True)
@@ -161,9 +140,9 @@ class FitPreset:
     where the frame has no estimate of its own: by the silhouette of the fit; the same, and by that the outlines are
     weighed anew; or by what the fit drew. ``lines_per_pixel`` are those of the drawings, those of the settings by
     default. Every ``stride``-th point of the outline counts at the end; ``as_seen`` is as in
-    `Coverage.near_with_lasting`, as in the settings by default. ``size`` is that of the errors that last from frame to
-    frame. ``in_session`` tells whether the frame is one of those that are solved together: the errors that last and
-    the offsets of the shaft's sides are then measured, and else what the mean errors of all masks do.
+    `Coverage.near_with_sides`, as in the settings by default. ``sides`` is the factor on the standard deviations of the
+    errors of the shaft's sides. ``in_session`` tells whether the frame is one of those that are solved together: the
+    offsets of the shaft's sides are then measured, and else what the mean errors of all masks do.
     """
 
     steps: Steps | None = None
@@ -173,7 +152,7 @@ class FitPreset:
     lines_per_pixel: int | None = None
     stride: int = 1
     as_seen: bool | None = None
-    size: LastingSize = USUAL_SIZE
+    sides: float = autocorrelated_errors.IN_SESSION
     in_session: bool = False
 
 
@@ -186,7 +165,9 @@ IN_SESSION: Final = FitPreset(in_session=True)
 OF_NEW_FRAME: Final = FitPreset(confirmed=True)
 """Fit of a single frame of a calibrated session."""
 
-FOLLOWED: Final = FitPreset(Steps(12, 3, 0.0, "none", 4.0), of_one=True, noise="weighed", size=SINGLE_SIZE)
+FOLLOWED: Final = FitPreset(
+    Steps(12, 3, 0.0, "none", 4.0), of_one=True, noise="weighed", sides=autocorrelated_errors.SINGLE
+)
 """Fit of an image that follows others, near the prediction: two or three steps are enough there, more are far off."""
 
 WHILE_RUNNING: Final = FitPreset(
@@ -195,7 +176,7 @@ WHILE_RUNNING: Final = FitPreset(
     lines_per_pixel=LINES_PER_PIXEL,
     stride=2,
     as_seen=True,
-    size=SINGLE_SIZE,
+    sides=autocorrelated_errors.SINGLE,
 )
 """Fit of an image that has just come, in few drawings, from where the one before was.
 
@@ -323,21 +304,19 @@ def _last_step(
     It is from where the fit was drawn last, which is at most a small step away, if it has its outline.
     """
     start, drawn = (fit.drawn_at, fit.drawn) if all(one.outlined for one in fit.drawn) else (fit.at, None)
-    lasting, by_masks = None, None
+    by_masks = None
     if preset.in_session:
-        lasting = coverage.near_with_lasting(start, own.noises, drawn=drawn, stride=preset.stride, as_seen=as_seen)
-        told = without_lasting(lasting, lasting.dimension - dimension, preset.size)
+        whole = coverage.near_with_sides(start, own.noises, drawn=drawn, stride=preset.stride, as_seen=as_seen)
+        outline = without_sides(whole, whole.dimension - dimension, preset.sides)
     else:
-        told, by_masks = outline_and_masks(
-            coverage, start, own.noises, preset.size, drawn, stride=preset.stride, as_seen=as_seen
+        outline, by_masks = outline_and_masks(
+            coverage, start, own.noises, preset.sides, drawn, stride=preset.stride, as_seen=as_seen
         )
-    end, slope = _stepped(start, told, terms)
+    end, slope = _stepped(start, outline, terms)
     return FrameFit(
         end,
-        information=told.information[0],
+        information=outline.information[0],
         slope=slope,
-        lasting=None if lasting is None else _after(lasting, end.minus(start)),
-        side_px=side_deviation(own.noises[0]),
         side_offsets=coverage.views[0].side_offsets(end) if preset.in_session else None,
         by_masks=by_masks,
         score=fit.score,
@@ -348,7 +327,7 @@ def outline_and_masks(
     coverage: Coverage,
     at: Posed,
     noises: Sequence[OutlineNoise],
-    size: LastingSize,
+    sides: float,
     drawn: DrawnCoverage | None,
     *,
     stride: int = 1,
@@ -356,16 +335,16 @@ def outline_and_masks(
 ) -> tuple[Quadratic, Float64]:
     """Return the outline's terms (1, D) near a pose, and what the mean errors of all masks do to them, (D, 7).
 
-    ``size`` is that of the errors that last, which are eliminated. An error on a side that the fit discounts, since the
-    mask shows it there, hardly changes what the fit tells. Other arguments are those of `Coverage.near_with_lasting`,
-    the result is as ``by_masks`` of `FrameFit`.
+    ``sides`` is as in `FitPreset`; the errors of the shaft's sides are eliminated. An error on a side that the fit
+    discounts, since the mask shows it there, hardly changes what the fit tells. Other arguments are those of
+    `Coverage.near_with_sides`, the result is as ``by_masks`` of `FrameFit`.
     """
 
     def errors(number: int, outline: OutlinePoints, by_pose: Float64) -> Float64:
         return coverage.views[number].mean_errors(outline, at)
 
-    lasting = coverage.near_with_lasting(at, noises, errors, drawn, stride=stride, as_seen=as_seen)
-    both, own = without_lasting(lasting, LASTING * len(coverage.views), size), 6 + len(at.joints)
+    whole = coverage.near_with_sides(at, noises, errors, drawn, stride=stride, as_seen=as_seen)
+    both, own = without_sides(whole, SIDES * len(coverage.views), sides), 6 + len(at.joints)
     return Quadratic(both.information[:, :own, :own], both.slope[:, :own]), both.information[0, :own, own:]
 
 
@@ -394,11 +373,6 @@ def _stepped(at: Posed, outline: Quadratic, terms: Sequence[Term]) -> tuple[Pose
     for term in terms:
         end = term.allowed(Posed.stacked([end]))[0]
     return end, outline.slope[0] + outline.information[0] @ end.minus(at)
-
-
-def _after(terms: Quadratic, step: Float64) -> Quadratic:
-    """Return terms (1, D + S) about where their first D unknowns are after a step."""
-    return Quadratic(terms.information, terms.slope + terms.information[:, :, : len(step)] @ step)
 
 
 def with_noise(own_estimate: OwnEstimate, views: Sequence[FrameView], config: EstimateConfig) -> OwnEstimate:

@@ -12,26 +12,23 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dvrk_cmaes.calibration.autocorrelated_errors import IN_SESSION, CommonErrors, without_sides
 from dvrk_cmaes.calibration.blocks import Calibration, OutlineOfView, SeenBlock, ViewAsSeen
-from dvrk_cmaes.calibration.consensus import evenly_spaced
 from dvrk_cmaes.calibration.frame_fit import OwnEstimate, with_noise
 from dvrk_cmaes.calibration.frame_task import Run
-from dvrk_cmaes.calibration.lasting_errors import CommonErrors
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, Solved, Solver, marginalise
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.geometry import Float64, Indices, Posed
+from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.pose.terms.coverage import Coverage
-from dvrk_cmaes.pose.terms.shared_errors import LASTING
+from dvrk_cmaes.pose.terms.shared_errors import SIDES
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.silhouette import Body, OutlinePoints
 
 _SETTLED = 0.25  # standard deviations of the blocks, below which the outlines are not linearised again
-PASSES = {"camera": 6, "margin": 5}
-"""Largest number of linearisations in which these blocks are estimated."""
 SHARED_ERRORS = 1.2
 """Factor on the standard deviations, because the frames of a session share errors of masks and meshes.
 
@@ -41,7 +38,6 @@ distance of the estimate from the truth was 4.0 instead of 3, in its own standar
 NAMED = 2.5
 """Standard deviations from the value of a file, above which one of several unknowns is named."""
 _BASE_STD = 1.0, 1.0  # m and rad, of the base beforehand, some of which a session may not determine
-FEW, _PAYS = 100, 2  # number of frames that are enough on the way, and the multiple of it from which on that is done
 
 
 def outline_task(
@@ -49,9 +45,9 @@ def outline_task(
     config: EstimateConfig,
     task: tuple[StoredFrame, tuple[int, ...], tuple[ViewAsSeen, ...], Posed, tuple[SeenBlock, ...]],
 ) -> Quadratic:
-    """Compute the outline's terms (1, D + E + S) about a pose, E unknowns of blocks and the S errors that last.
+    """Compute the outline's terms (1, D + E) about a pose and E unknowns of blocks.
 
-    Other errors that parts of one mask share are eliminated. The noise is that at the frame's own estimate; of several
+    Errors that parts of one mask share are eliminated. The noise is that at the frame's own estimate; of several
     views, it is measured at the pose where it is less there: in a wrong rig, no pose fits all views. The task is a
     frame, the numbers of views and how they see, the pose and the blocks.
     """
@@ -78,7 +74,8 @@ def outline_task(
         drawn_there = OutlineOfView(views[number].name, sized[number], points, by_pose, at, size)
         return np.column_stack([block.effect(drawn_there) for block in blocks])
 
-    return coverage.near_with_lasting(at, noises, effects, drawn, as_seen=config.session.shadows)
+    whole = coverage.near_with_sides(at, noises, effects, drawn, as_seen=config.session.shadows)
+    return without_sides(whole, SIDES * len(views), IN_SESSION)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,8 +113,8 @@ class SessionOutlines:
         ]
         found = iter(self.run(outline_task, tasks))
         size = 6 + at.joints.shape[1] + sum(len(block) for block in values.values())
-        terms = [next(found) if views else Quadratic.zero(1, size + LASTING) for views in self.views]
-        return FrameFits.with_lasting(at, terms, self.common, values)
+        terms = [next(found) if views else Quadratic.zero(1, size) for views in self.views]
+        return FrameFits.sharing(at, Quadratic.joined(terms), self.common, values)
 
     def _seen(self, stored: StoredFrame, number: int, values: Mapping[str, Float64]) -> ViewAsSeen:
         """Return how a view of a frame sees with some values of the blocks."""
@@ -132,20 +129,14 @@ class SessionOutlines:
         """Return the blocks that a calibration has no values of."""
         return [one for one in self.blocks if one.name not in calibration.values]
 
-    def subset(self, index: Indices) -> SessionOutlines:
-        """Return the outlines of the frames at some indices."""
-        stored, views = [self.stored[i] for i in index.tolist()], [self.views[i] for i in index.tolist()]
-        return replace(self, stored=stored, views=views, common=self.common.subset(index))
-
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
     """An arm's part of a ``solution`` with blocks that are seen, from ``fits`` that were linearised near it.
 
-    That was the last of ``passes``. ``at`` are the N poses there. ``covariance`` (K, K) is that of the
+    ``at`` are the N poses there. ``covariance`` (K, K) is that of the
     solution, where the base is known to a metre and a radian beforehand.
-    ``plausible`` is false if an estimate on the way lay so far away that the outlines said nothing about it. ``first``
-    is what the first linearisation told, at the start.
+    ``plausible`` is false if an estimate on the way lay so far away that the outlines said nothing about it.
     """
 
     model: SessionModel
@@ -153,9 +144,7 @@ class Linearised:
     fits: FrameFits
     covariance: Float64
     at: Posed
-    passes: int
     plausible: bool
-    first: Linearised | None = None
 
     @property
     def information(self) -> Float64:
@@ -204,16 +193,9 @@ class ArmOutlines(NamedTuple):
     at: Posed
     outlines: SessionOutlines
 
-    def subset(self, index: Indices) -> ArmOutlines:
-        """Return the frames at some indices."""
-        return ArmOutlines(self.model.subset(index), self.calibration, self.at[index], self.outlines.subset(index))
-
 
 def linearise(arms: Sequence[ArmOutlines], solver: Solver, names: Sequence[str], *, passes: int) -> list[Linearised]:
     """Estimate blocks beside the calibrations of arms, linearising the outlines until those of some names are settled.
-
-    Of many frames, few lead to where the outlines of all are then linearised: frames of a recording that follow each
-    other closely err alike, so that what they tell of these grows much more slowly than their number.
 
     Parameters
     ----------
@@ -232,35 +214,19 @@ def linearise(arms: Sequence[ArmOutlines], solver: Solver, names: Sequence[str],
         As `SessionOutlines.near`.
     """
     arms = [arm._replace(calibration=arm.calibration.beside(*arm.outlines.lacking(arm.calibration))) for arm in arms]
-    first: list[Linearised | None] = [None] * len(arms)
-    done, few = 0, [few_of(len(arm.at)) for arm in arms]
-    if passes > 1 and any(index is not None for index in few):
-        pairs = zip(arms, few, strict=True)
-        some = [arm if index is None else arm.subset(index) for arm, index in pairs]
-        by_few = linearise(some, solver, names, passes=passes - 1)
-        if all(arm.plausible for arm in by_few):
-            arms = [_led_by(arm, own) for arm, own in zip(arms, by_few, strict=True)]
-            first, done = [own.first or own for own in by_few], by_few[0].passes
-    while True:
+    for _ in range(passes):
         fits = [arm.outlines.near(arm.at, arm.calibration.values) for arm in arms]
         models, solutions = solver([ArmFrames(a.model, f, a.calibration) for a, f in zip(arms, fits, strict=True)])
-        done += 1
-        each = list(zip(arms, fits, models, solutions, first, strict=True))
-        last = [_linearised(*of_arm, names=names, passes=done) for of_arm in each]
+        each = zip(arms, fits, models, solutions, strict=True)
+        last = [_linearised(*of_arm, names=names) for of_arm in each]
         settled = all(_settled(one, arm.outlines, names) for one, arm in zip(last, arms, strict=True))
-        if done >= passes or settled or not all(one.plausible for one in last):
-            return last
-        first = [own or now for own, now in zip(first, last, strict=True)]
+        if settled or not all(one.plausible for one in last):
+            break
         arms = [
             ArmOutlines(one.model, one.solution.calibration, one.at, arm.outlines)
             for one, arm in zip(last, arms, strict=True)
         ]
-
-
-def _led_by(arm: ArmOutlines, few: Linearised) -> ArmOutlines:
-    """Return frames near where some of them lead."""
-    calibration = few.solution.calibration
-    return arm._replace(calibration=calibration, at=shifted(arm.model, arm.at, arm.calibration, calibration))
+    return last
 
 
 def _linearised(
@@ -268,10 +234,8 @@ def _linearised(
     fits: FrameFits,
     model: SessionModel,
     solution: Solved,
-    first: Linearised | None,
     *,
     names: Sequence[str],
-    passes: int,
 ) -> Linearised:
     """Return what an arm has of a solution."""
     calibration = solution.calibration
@@ -279,7 +243,7 @@ def _linearised(
     there = fits.at.moved(marginalise(model, fits, calibration).own)
     asked = [one for one in arm.outlines.blocks if one.name in names]
     plausible = all(one.is_plausible(calibration.values[one.name]) for one in asked)
-    return Linearised(model, solution, fits, covariance, there, passes, plausible, first)
+    return Linearised(model, solution, fits, covariance, there, plausible)
 
 
 def _settled(there: Linearised, outlines: SessionOutlines, names: Sequence[str]) -> bool:
@@ -287,34 +251,6 @@ def _settled(there: Linearised, outlines: SessionOutlines, names: Sequence[str])
     asked = [one for one in outlines.blocks if one.name in names]
     moved = [(np.abs(there.value(one.name) - there.fits.seen[one.name]), there.std(one)) for one in asked]
     return all((most < _SETTLED * std).all() for most, std in moved)
-
-
-def few_of(count: int) -> Indices | None:
-    """Return the indices of a few of ``count`` frames in their order, evenly spaced; None where all are to be used.
-
-    What only leads to a final estimate is found with few frames; the final estimate is always from all of them.
-
-    Parameters
-    ----------
-    count
-        Number of the session's frames.
-    """
-    return evenly_spaced(count, FEW) if count >= _PAYS * FEW else None
-
-
-def shifted(model: SessionModel, at: Posed, before: Calibration, after: Calibration) -> Posed:
-    """Return N poses that differ from what a calibration predicts as they did from what another one predicts.
-
-    Parameters
-    ----------
-    model
-        The session's model.
-    at
-        The poses of the N frames.
-    before, after
-        The calibration that belongs to these poses, and the other one.
-    """
-    return model.predict(after).moved(at.minus(model.predict(before)))
 
 
 def weak(count: int) -> Float64:

@@ -20,7 +20,7 @@ from dvrk_cmaes.calibration.solve import marginalise
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import Float64, Posed, apply
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.pose.terms.shared_errors import DIRECTIONS, LASTING, MEAN_ERRORS, image_axis
+from dvrk_cmaes.pose.terms.shared_errors import DIRECTIONS, MEAN_ERRORS, SIDES, image_axis
 
 GROWTH = "growth"
 """Name of the block."""
@@ -173,11 +173,11 @@ def changes_by_masks(at: Posed, camera: Camera, instrument: Instrument) -> Float
         return moves
     along, aside = image_axis(instrument, camera, at)
     across = np.array([-aside, along])
-    sides = np.column_stack([np.eye(LASTING), np.maximum(np.array([across, -across]) @ DIRECTIONS, 0.0)])
+    sides = np.column_stack([np.eye(SIDES), np.maximum(np.array([across, -across]) @ DIRECTIONS, 0.0)])
     distance = float(np.linalg.norm(apply(at.pose, instrument.ends(at.joints)).mean(axis=0)))
     moved = at.pose[:3, :3].T @ [*across, 0.0] * distance / camera.fx
     moves[:, 1:] = np.outer(nearer, sides.mean(axis=0))
-    moves[:3, 1:] += np.outer(moved, (sides[0] - sides[1]) / LASTING)
+    moves[:3, 1:] += np.outer(moved, (sides[0] - sides[1]) / SIDES)
     return moves
 
 

@@ -1,4 +1,4 @@
-"""What a session's frames tell about its camera: the change they fit, and whether they contradict the camera file.
+"""What a session's frames determine of its camera: the change they fit, and whether they contradict the camera file.
 
 The change has three unknowns: the logarithm of the focal length's factor and the shift of the principal point, px. It
 is estimated beside the margin of the masks, which makes the shaft wider as a longer focal length does. A single frame
@@ -12,14 +12,13 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.blocks import Calibration, FoundBlock, OutlineOfView, SeenBlock, ViewAsSeen
-from dvrk_cmaes.calibration.consensus import evenly_spaced
+from dvrk_cmaes.calibration.blocks import CLEAR, FoundBlock, OutlineOfView, SeenBlock, ViewAsSeen
 from dvrk_cmaes.calibration.linearise import (
     NAMED,
-    PASSES,
     SHARED_ERRORS,
     ArmOutlines,
     Linearised,
@@ -28,35 +27,34 @@ from dvrk_cmaes.calibration.linearise import (
 )
 from dvrk_cmaes.calibration.mask_growth import GROWTH, GrowthEstimate, MaskGrowth, estimate_growth
 from dvrk_cmaes.calibration.model import SessionModel
-from dvrk_cmaes.calibration.session_lens import LENS, OF_LENS
-from dvrk_cmaes.calibration.session_shaft import SIZES, SessionShaft
-from dvrk_cmaes.calibration.solve import ArmFrames, cost_at, inverse_information, solve_arms
+from dvrk_cmaes.calibration.session_shaft import SessionShaft
+from dvrk_cmaes.calibration.solve import inverse_information
 from dvrk_cmaes.calibration.stored_frame import changed
 from dvrk_cmaes.calibration.variances import solve_with_variances
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.camera.critical import FILE
+from dvrk_cmaes.camera.lens import COEFFICIENT_COUNTS
 from dvrk_cmaes.config import CameraConfig, EstimateConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import Float64, Posed
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Count, Number
-from dvrk_cmaes.pose.camera_errors import PARAMETERS, file_covariance
+from dvrk_cmaes.pose.camera_errors import PARAMETERS, displacements, file_covariance
 from dvrk_cmaes.pose.terms.coverage import of_camera
 
-CAMERA = "camera"
-"""Name of the block."""
+CAMERA, LENS = "camera", "lens"
+"""Names of the blocks."""
 
 TESTED = [PARAMETERS.index(name) for name in ("focal_length", "centre_right", "centre_down")]
 """Which of the parameters of a camera are the three unknowns."""
+_OF_LENS: Final = [PARAMETERS.index("aspect"), PARAMETERS.index("radial")]
+_LENS_CAUSES: Final = "images that were stretched, --rectified with raw images or left out, or the file of another lens"
 _WEAK_STD = np.array([0.3, 300.0, 300.0])  # of the change where it is estimated from the frames: relative, and px
 PLAUSIBLE = 2.0  # of these; linearised farther away, outlines leave the image
+_PASSES = 6  # largest number of linearisations of the outlines
 _STEPS = 10  # largest number of Gauss-Newton steps between two estimates of the variances
 _LEAST_FRAMES, _MANY_FRAMES = 6, 10
 _LEAST_INSERTION = 5e-3  # m, range of the readings
-_CONTRADICTION = 16.27
-_FIRST_CONTRADICTION = 4.64
-"""Squared distances from no change, of 99.9 % and 80 % with three unknowns: of the last and the first estimate."""
-_LEAST_GAIN = 3.84  # by how much less the sum of squares must be with another camera than the file's to contradict it
+_CONTRADICTION = 16.27  # squared distance from no change, of 99.9 % with three unknowns
 _WRONG_SHARE, _WRONG_STD = 0.05, 10.0
 """Share of files of another zoom, crop or endoscope, as far as frames could show it, and their errors in usual ones."""
 IMPLAUSIBLE = (
@@ -66,7 +64,6 @@ IMPLAUSIBLE = (
 """Why a session does not tell its camera: the estimate lies too far away for outlines that were linearised here."""
 
 _NOT_ASKED = "camera: not tested, as the settings say"
-_OF_FILE = 5e-3  # usual standard deviation of a file's focal length, and of its centre in image widths
 _CAUSES = (
     "a calibration of another zoom, focus, endoscope or crop of the image, or --rectified left out; a tool or arm of "
     "another length has a similar effect"
@@ -94,6 +91,48 @@ class CameraChange(SeenBlock):
         return of_camera(outline.view, outline.points) * [1.0, outline.size, outline.size]
 
 
+class Lens(SeenBlock):
+    """The errors (2,) of a camera file: of log (fy / fx), and of the first radial coefficient."""
+
+    is_linear = True
+
+    def __init__(self, config: EstimateConfig, camera: Camera) -> None:
+        super().__init__(LENS, np.sqrt(np.diag(file_covariance(camera, config.camera)))[_OF_LENS])
+        self.axes = ("aspect", "radial")
+
+    def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
+        """Return a view with another aspect and radial coefficient."""
+        if not values.any():
+            return by
+        camera, (aspect, radial) = by.camera, values
+        first, *others = camera.distortion or (0.0,) * COEFFICIENT_COUNTS[camera.model][-1]
+        focal = camera.fx * np.exp(-aspect / 2), camera.fy * np.exp(aspect / 2)
+        return replace(by, camera=replace(camera, fx=focal[0], fy=focal[1], distortion=(first + radial, *others)))
+
+    def effect(self, outline: OutlineOfView) -> Float64:
+        """Return the displacements of an outline's points by both."""
+        camera, pixels = outline.view.camera, outline.points.pixels
+        moved = displacements(camera, pixels, camera.normalise(pixels))[:, :, _OF_LENS]
+        return np.asarray(np.einsum("nk,nkp->np", outline.points.normals, moved))
+
+    def stated(self, values: Float64, std: Float64) -> FoundBlock:
+        """State both, and what the frames alone tell of them where that contradicts the file."""
+        own = std / SHARED_ERRORS
+        gained = np.maximum(own**-2 - self.std**-2, 1e-12)
+        alone, spread = values / own**2 / gained, SHARED_ERRORS / np.sqrt(gained)
+        off = np.abs(alone) / np.hypot(spread, self.std)
+        texts = [
+            f"fy / fx {100 * alone[0]:+z.1f} % (std {100 * spread[0]:.1f}) off",
+            f"a radial coefficient {alone[1]:+z.2f} (std {spread[1]:.2f}) off",
+        ]
+        told = [text for text, far in zip(texts, off, strict=True) if far > CLEAR]
+        doubt = f"the camera file is contradicted: these frames fit {' and '.join(told)}; likely causes: {_LENS_CAUSES}"
+        stated = f"lens: fy / fx {100 * values[0]:+z.2f} % (std {100 * std[0]:.2f}), radial {values[1]:+z.3f}"
+        each = (tuple(one.tolist()) for one in (values, std, self.std))
+        given, known, file = each
+        return FoundBlock(self.axes, given, known, file, f"{stated} (std {std[1]:.3f})", doubt if told else "")
+
+
 @dataclass(frozen=True)
 class SessionCamera(Document):
     """Change of the camera that a session's frames fit, with standard deviations.
@@ -114,26 +153,12 @@ class SessionCamera(Document):
     width: Count
 
     @classmethod
-    def of(
-        cls,
-        estimate: CameraEstimate,
-        file: Float64,
-        width: int,
-        *,
-        applied: bool,
-        unusual: bool = False,
-    ) -> SessionCamera:
-        """Decide whether an estimate from some frames contradicts the camera file, and state it.
+    def of(cls, change: Float64, covariance: Float64, file: Float64, width: int, *, applied: bool) -> SessionCamera:
+        """Decide whether the change (3,) that some frames fit, with its covariance, contradicts the camera file.
 
-        ``file`` (3,) are the standard deviations of the file, as of `file_deviations`. Each linearisation may be
-        farther away than the one before, so that the first one, at the camera of the file, must point to another
-        camera as well, unless the file is ``unusual`` in itself; another camera must explain the frames better.
+        ``file`` (3,) are the standard deviations of the file, as of `file_deviations`.
         """
-        change, covariance = estimate.change, SHARED_ERRORS**2 * estimate.covariance
         contradicts = _distance(change, covariance, file) > _CONTRADICTION
-        if not (applied or unusual):
-            first = _distance(estimate.first_change, SHARED_ERRORS**2 * estimate.first_covariance, file)
-            contradicts = contradicts and first > _FIRST_CONTRADICTION and estimate.gain >= _LEAST_GAIN
         if not (contradicts or applied):
             change, covariance = _with_file(change, covariance, file)
         return cls.at(change, covariance, width, contradicts=contradicts, applied=applied)
@@ -208,8 +233,11 @@ class SessionCamera(Document):
             return []
         scale, std = self.focal_scale - 1, self.std_focal_scale
         shift, std_shift = np.array(self.principal_point_px), np.array(self.std_principal_point_px)
-        of_focal_length = abs(scale) > NAMED * np.hypot(std, _OF_FILE)
-        of_centre = bool((np.abs(shift) > NAMED * np.hypot(std_shift, _OF_FILE * self.width)).any())
+        file = CameraConfig()
+        of_focal_length = abs(scale) > NAMED * np.hypot(std, file.focal_length_percent / 100)
+        of_centre = bool(
+            (np.abs(shift) > NAMED * np.hypot(std_shift, file.principal_point_percent / 100 * self.width)).any()
+        )
         parts = []
         if of_focal_length or not of_centre:
             than = "longer" if scale > 0 else "shorter"
@@ -271,7 +299,7 @@ def errors_of_camera(check: CameraCheck, camera: Camera, config: CameraConfig) -
     errors, change = file_covariance(camera, config), check.camera
     lens = check.blocks.get(LENS)
     if lens is not None:
-        errors[np.ix_(OF_LENS, OF_LENS)] = np.diag(np.square(lens.std) + np.square(lens.values))
+        errors[np.ix_(_OF_LENS, _OF_LENS)] = np.diag(np.square(lens.std) + np.square(lens.values))
     if change is not None and check.square is not None:
         to_relative = np.array([1.0, *(2 * [camera.width / change.width / camera.fx])])
         errors[np.ix_(TESTED, TESTED)] = check.square * np.outer(to_relative, to_relative)
@@ -280,86 +308,26 @@ def errors_of_camera(check: CameraCheck, camera: Camera, config: CameraConfig) -
     return errors
 
 
-@dataclass(frozen=True, eq=False)
-class CameraEstimate:
-    """The change (3,) of the camera that a session's frames fit best, and the calibration with it.
-
-    ``covariance`` (3, 3) is that of the change, of which hardly anything is known beforehand. ``sensitivity`` (K, 3) is
-    the derivative of the calibration, in the order of `SessionModel.axes`, by the change. ``at`` are the poses of the N
-    frames with the changed camera. ``plausible`` is as in `Linearised`. ``first_change`` (3,) and ``first_covariance``
-    (3, 3) are what the first linearisation told, at the start, and ``gain`` is by how much less its sum of squares is
-    with any camera than with one that the file expects. ``growth`` and ``shaft`` are what the last one told of errors
-    of the masks on some sides, and of the shaft's radius; None if they are not among the blocks. ``blocks`` are those
-    that state themselves, ``of_blocks`` (K, K) the mean square of the calibration's errors that their errors cause.
-    """
-
-    change: Float64
-    covariance: Float64
-    first_change: Float64
-    first_covariance: Float64
-    sensitivity: Float64
-    calibration: Calibration
-    at: Posed
-    plausible: bool = True
-    gain: float = np.inf
-    growth: GrowthEstimate | None = None
-    shaft: SessionShaft | None = None
-    blocks: Mapping[str, FoundBlock] = field(default_factory=dict)
-    of_blocks: Float64 | float = 0.0
-
-
-def estimate_camera(arms: Sequence[ArmOutlines], config: EstimateConfig, *, passes: int) -> list[CameraEstimate]:
-    """Estimate the change of the camera with the calibrations of a session's arms; returns what each has of it.
+def estimate_camera(arms: Sequence[ArmOutlines], config: EstimateConfig, *, passes: int) -> list[Linearised]:
+    """Estimate the change of the camera with the calibrations of a session's arms.
 
     Arguments are as in `linearise`; the outlines are those of the reference camera, with the change among their blocks.
     ``config`` has the settings of the variance components, which are estimated again with the change.
     """
-    file = file_deviations(arms[0].outlines.camera, config.camera)
-    there = linearise(arms, partial(solve_with_variances, config=config.session, steps=_STEPS), [CAMERA], passes=passes)
-    gain = _gain_of_any_camera(arms, [own.first or own for own in there], file)
-    return [_estimate(own, arm.outlines.blocks, file, gain) for own, arm in zip(there, arms, strict=True)]
-
-
-def _estimate(there: Linearised, blocks: Sequence[SeenBlock], file: Float64, gain: float) -> CameraEstimate:
-    """Return what an arm has of an estimate of the camera and of the other blocks that were linearised with it."""
-    first, calibration, information = there.first or there, there.solution.calibration, there.information
-    own, count = calibration.place(CAMERA), calibration.own
-    told = [(one.value(CAMERA), one.covariance[own, own]) for one in (there, first)]
-    growth, shaft = None, None
-    of_masks = next((one for one in blocks if isinstance(one, MaskGrowth)), None)
-    if of_masks is not None:
-        changed_camera = any(one.name == CAMERA and one.start.any() for one in blocks)
-        beside = {} if changed_camera else {CAMERA: file}
-        known = [estimate_growth(one, of_masks, beside) for one in ((there,) if first is there else (there, first))]
-        told = [(one.values[own], one.covariance[own, own]) for one in (known[0], known[-1])]
-        # the file's camera is nearest to what was linearised first, about it; the last one has all frames
-        growth = replace(known[-1], of_frames=known[0].of_frames)
-        if any(one.name == SIZES for one in blocks):
-            shaft = SessionShaft.of(there, {CAMERA: file, GROWTH: growth.std_px})
-    return CameraEstimate(
-        *told[0],
-        *told[1],
-        -inverse_information(information[:count, :count]) @ information[:count, own],
-        calibration.alone(),
-        there.at,
-        there.plausible,
-        gain,
-        growth,
-        shaft,
-        *_stated(there, blocks, {} if growth is None else {GROWTH: growth.std_px}, file),
-    )
+    solver = partial(solve_with_variances, config=config.session, steps=_STEPS)
+    return linearise(arms, solver, [CAMERA], passes=passes)
 
 
 def _stated(
-    there: Linearised, blocks: Sequence[SeenBlock], known: Mapping[str, Float64], file: Float64
+    there: Linearised, blocks: Sequence[SeenBlock], known: Mapping[str, Float64]
 ) -> tuple[dict[str, FoundBlock], Float64]:
-    """State what is found of the blocks that state themselves, beside a camera that is known as its file is.
+    """State what is found of the blocks that state themselves.
 
-    ``known`` are standard deviations beforehand of other blocks. Also returns the mean square (K, K) of the
-    calibration's errors that their errors cause, which are not corrected.
+    ``known`` are standard deviations of the priors of other blocks, as of the camera. Also returns the mean square (K,
+    K) of the calibration's errors that their errors cause, which are not corrected.
     """
     calibration, count = there.solution.calibration, there.solution.calibration.own
-    values, covariance = there.with_std({CAMERA: file, **known})
+    values, covariance = there.with_std(known)
     found, of_blocks = dict[str, FoundBlock](), np.zeros((count, count))
     for block in blocks:
         place = calibration.place(block.name)
@@ -371,59 +339,32 @@ def _stated(
     return found, of_blocks
 
 
-def _gain_of_any_camera(arms: Sequence[ArmOutlines], first: Sequence[Linearised], file: Float64) -> float:
-    """Return by how much less the frames' sum of squares is with any camera than with one that the file expects.
-
-    Far from the camera of the file, the covariance of an estimate says little about how well the file explains the
-    frames. Variances and weights are those of the session with the file. Arguments are as in `estimate_camera`;
-    ``first`` are the linearisations at the start, ``file`` (3,) the standard deviations of the file.
-    """
-    by_any, by_file = list[ArmFrames](), list[ArmFrames]()
-    for arm, own in zip(arms, first, strict=True):
-        model, calibration = arm.model, arm.calibration.alone()
-        if len(own.at) != len(model.outer):
-            model = model.subset(evenly_spaced(len(model.outer), len(own.at)))
-        seen = [block for block in own.solution.calibration.blocks if isinstance(block, SeenBlock)]
-        zero = {block.name: np.zeros(len(block.std)) for block in seen}
-        start = calibration.beside(*seen, **zero)
-        (camera,) = (block for block in seen if block.name == CAMERA)
-        known = CameraChange((camera.std**-2 + file**-2) ** -0.5)
-        by_any.append(ArmFrames(model, own.fits, start))
-        by_file.append(ArmFrames(model, own.fits, start.beside(known, **zero)))
-    with_file = solve_arms(by_file)
-    costs = [
-        cost_at(frames, [own.calibration for own in solved], [own.weights for own in with_file])
-        for frames, solved in ((by_file, with_file), (by_any, solve_arms(by_any)))
-    ]
-    return costs[0] - costs[1]
-
-
 def check_camera(
     arms: Sequence[ArmOutlines], config: EstimateConfig, *, applied: Float64 | None = None
 ) -> list[CameraCheck]:
     """Test the camera of a calibrated session; returns what each arm has of it.
 
-    ``applied`` is the change (3,) of the camera with which the frames were fitted, with which the block starts; None
-    if they were fitted with the file's. The other arguments are as in `estimate_camera`. Where an estimate is not
+    ``applied`` is the change (3,) of the camera with which the frames were fitted, with which the block starts; None if
+    they were fitted with the file's. The other arguments are as in `estimate_camera`. Where an estimate is not
     plausible, only what the frames tell at the camera of the file is left, which may contradict it or say nothing.
     """
     reasons = [_lacking(arm.model, _LEAST_FRAMES, "test") for arm in arms]
     reason = None if None in reasons else reasons[0]
     if not config.session.test_camera and applied is None:
         reason = _NOT_ASKED
-    passes = PASSES[CAMERA] if reason is None and applied is None else 1
+    passes = _PASSES if reason is None and applied is None else 1
     try:
-        estimates = estimate_camera(arms, config, passes=passes)
-        if far := passes > 1 and not all(estimate.plausible for estimate in estimates):
-            estimates = estimate_camera(arms, config, passes=1)
+        found = estimate_camera(arms, config, passes=passes)
+        if far := passes > 1 and not all(one.plausible for one in found):
+            found = estimate_camera(arms, config, passes=1)
     except InputError as error:
         return [CameraCheck(None, f"camera: {error}", np.zeros((arm.calibration.alone().own,) * 2)) for arm in arms]
-    pairs = zip(estimates, arms, strict=True)
+    pairs = zip(found, arms, strict=True)
     return [_checked(one, arm.outlines, config, reason, applied, far=far) for one, arm in pairs]
 
 
 def _checked(
-    estimate: CameraEstimate,
+    there: Linearised,
     outlines: SessionOutlines,
     config: EstimateConfig,
     reason: str | None,
@@ -432,22 +373,32 @@ def _checked(
     far: bool,
 ) -> CameraCheck:
     """Judge an estimate; ``reason`` is why the camera is not tested, ``far`` whether an estimate was not plausible."""
-    file, used = file_deviations(outlines.camera, config.camera), applied is not None
-    if applied is not None:
-        estimate = replace(estimate, change=applied)
-    unusual = any(text.startswith(FILE) for text in outlines.camera.remarks)
-    camera = SessionCamera.of(estimate, file, outlines.camera.width, applied=used, unusual=unusual)
+    calibration, file = there.solution.calibration, file_deviations(outlines.camera, config.camera)
+    own, count = calibration.place(CAMERA), calibration.own
+    change, covariance, known = there.value(CAMERA), there.covariance[own, own], {CAMERA: file}
+    growth, shaft = None, None
+    for block in outlines.blocks:
+        if isinstance(block, MaskGrowth):
+            growth = estimate_growth(there, block, known if applied is None else {})
+            change, covariance = growth.values[own], growth.covariance[own, own]
+            known = {**known, GROWTH: growth.std_px}
+            shaft = SessionShaft.of(there, known)
+    blocks, of_blocks = _stated(there, outlines.blocks, known)
+    covariance = SHARED_ERRORS**2 * covariance
+    change = change if applied is None else applied
+    camera = SessionCamera.of(change, covariance, file, outlines.camera.width, applied=applied is not None)
     if far and not camera.contradicts:
         reason = IMPLAUSIBLE
     square = np.diag(file**2)
-    if used:
-        square = SHARED_ERRORS**2 * estimate.covariance
+    if applied is not None:
+        square = covariance
     elif reason is None:
-        square = _mean_square(estimate.change, SHARED_ERRORS**2 * estimate.covariance, file)
-    covariance = estimate.sensitivity @ square @ estimate.sensitivity.T + estimate.of_blocks
+        square = _mean_square(change, covariance, file)
+    moves = -inverse_information(there.information[:count, :count]) @ there.information[:count, own]
+    of_camera = moves @ square @ moves.T + of_blocks
     if reason is not None:
-        return CameraCheck(None, reason, covariance, estimate.growth, estimate.shaft, estimate.blocks)
-    return CameraCheck(camera, "", covariance, estimate.growth, estimate.shaft, estimate.blocks, square)
+        return CameraCheck(None, reason, of_camera, growth, shaft, blocks)
+    return CameraCheck(camera, "", of_camera, growth, shaft, blocks, square)
 
 
 def _mean_square(change: Float64, covariance: Float64, file: Float64) -> Float64:

@@ -31,14 +31,6 @@ LARGEST_PREDICTED_PX: Final = 2.5
 """Median distance of the contours of frames from what the other frames of their session predict, at 640 px of width."""
 _LACKING_SHARE = 0.5  # of the frames, whose masks lack the end of a jaw; of 60 right frames of all kinds one does
 _LARGEST_MARGIN_PX = 2.0  # of all masks of a session
-_LARGEST_SIDE_PX = 1.5
-"""Standard deviation of the errors of a side of the shaft that are autocorrelated from frame to frame.
-
-Shadows only add to masks, and the fits hardly show what they add in the mean. Of 77 recordings of
-../shared/ruler/fleet.py (`scripts/measure.py track`, seeds 8605 to 8920) 76 have at most 0.73 px, and bases within
-1.7 stated deviations; the other, 8720, has 2.65 px, masks 4.4 px too wide, and a base that is 4.0 deviations off. At
-twice the size, 1280 x 960, that one has 2.36 px, and the next two, 8711 and 8809, have 0.93 and 1.13 px.
-"""
 _SHOW_THE_CAMERA = 40
 """Number of frames of a right session by which an estimate of the camera does not run away.
 
@@ -137,18 +129,13 @@ def _left_out(calibration: SessionCalibration, start: str) -> int:
 
 
 def masks_off(masks: SessionMasks, pixel_scale: float) -> list[str]:
-    """Judge the margin of a session's masks, and their errors on a side of the shaft."""
+    """Judge the margin of a session's masks."""
     margin, side = abs(masks.margin_px), "wide" if masks.margin_px > 0 else "narrow"
     too_wide = margin > _LARGEST_MARGIN_PX * pixel_scale
-    one_sided = (masks.side_px or 0) > _LARGEST_SIDE_PX * pixel_scale
     return reasons(
         f"masks are {margin:.1f} px (std {masks.std_margin_px:.1f}) too {side} all round: more than segmenters err; "
         "another instrument, another focal length or masks that were widened have this effect"
         if too_wide
-        else None,
-        f"masks err by {masks.side_px:.1f} px (std {masks.std_side_px:.1f}) on a side of the shaft, alike from frame "
-        "to frame: base and depths may be off by more than is stated"
-        if one_sided
         else None,
     )
 

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dvrk_cmaes.calibration.blocks import Calibration, OutlineOfView, SeenBlock, ViewAsSeen
-from dvrk_cmaes.calibration.linearise import PASSES, ArmOutlines, linearise
+from dvrk_cmaes.calibration.linearise import ArmOutlines, linearise
 from dvrk_cmaes.calibration.solve import ArmFrames, marginalise, solve_arms, solve_unchanged
-from dvrk_cmaes.calibration.variances import LastingEstimate
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Number, refused
@@ -33,6 +32,7 @@ _CLEAR = 2.5  # standard deviations from zero, and ...
 _LEAST_MARGIN = 0.15  # ... px, beyond which a margin is taken off the masks
 _LEAST_STD = 0.12  # px; margins of parts of one real recording, 0.57 to 1.11, scatter by this beside their errors
 _ON_SIDES = 6  # errors of both sides of the shaft, and of what faces four directions
+_PASSES = 5  # largest number of linearisations
 _MARGIN_STEPS = 2  # linearisations of the outlines from whole masks to those less the margin
 
 
@@ -89,9 +89,6 @@ class SessionMasks(Document):
     margin_px : by how much the masks are too wide all round; negative if too narrow. std_margin_px : its standard
     deviation. applied : whether the session was solved with masks less this margin. In a session of several views these
     are of the first one, and ``further_views`` has those of the others.
-    side_px : standard deviation of the error of a side of the shaft as a whole, which lasts from frame to frame, px.
-    std_side_px : its standard deviation. lasting_seconds, std_lasting_seconds : the time in which the correlation of
-    these errors falls to 37 %, s; None where the times of the frames are not known.
     growth_px : mean errors, px, of both sides of the shaft (to the right of its direction towards the tip in the image,
     and to the left) and of what faces right, left, down and up, none below 0. rms_growth_px : the roots of their mean
     squares, with what is not known of them. error_squares : the mean squares (7, 7), px^2, of the margin that is left
@@ -102,10 +99,6 @@ class SessionMasks(Document):
     std_margin_px: Number
     applied: bool
     further_views: tuple[ViewMargin, ...] = ()
-    side_px: Number | None = None
-    std_side_px: Number | None = None
-    lasting_seconds: Number | None = None
-    std_lasting_seconds: Number | None = None
     growth_px: tuple[Number, ...] = ()
     rms_growth_px: tuple[Number, ...] = ()
     error_squares: tuple[tuple[Number, ...], ...] = ()
@@ -115,30 +108,20 @@ class SessionMasks(Document):
     def of(
         cls,
         margins: Sequence[tuple[str, Margin]],
-        lasting: LastingEstimate | None,
         growth: GrowthEstimate | None = None,
     ) -> SessionMasks:
         """State the margins of the views, of which there is at least one, and the errors that frames share."""
         (_, first), *others = margins
         further = tuple(ViewMargin(view, margin.px, margin.std_px, margin.applied) for view, margin in others)
         stated = cls(first.px, first.std_px, first.applied, further)
-        if growth is not None:
-            stated = replace(
-                stated,
-                growth_px=tuple(growth.px.tolist()),
-                rms_growth_px=tuple(np.sqrt(np.diag(growth.squares)[1:]).tolist()),
-                error_squares=_rows(growth.squares),
-                by_errors=_rows(growth.of_calibration),
-            )
-        if lasting is None:
+        if growth is None:
             return stated
-        seconds = lasting.size.seconds if lasting.timed else None
         return replace(
             stated,
-            side_px=lasting.side_px,
-            std_side_px=lasting.side_px * lasting.log_std_scale,
-            lasting_seconds=seconds,
-            std_lasting_seconds=None if seconds is None else seconds * lasting.log_std_seconds,
+            growth_px=tuple(growth.px.tolist()),
+            rms_growth_px=tuple(np.sqrt(np.diag(growth.squares)[1:]).tolist()),
+            error_squares=_rows(growth.squares),
+            by_errors=_rows(growth.of_calibration),
         )
 
     @property
@@ -201,14 +184,11 @@ class SessionMasks(Document):
         return self.taken_off
 
     def describe(self) -> str:
-        """Describe the margins that were taken off, or else the first one, and how long other errors last, in words."""
+        """Describe the margins that were taken off, or else the first one in words."""
         margins = [Margin(self.margin_px, self.std_margin_px, self.applied)]
         margins += [Margin(one.margin_px, one.std_margin_px, one.applied) for one in self.further_views]
         named = zip(["", *(f" of the {one.view} eye" for one in self.further_views)], margins, strict=True)
         parts = [_in_words(name, margin) for name, margin in named]
-        if self.side_px is not None:
-            last = "" if self.lasting_seconds is None else f" and last {self.lasting_seconds:.1f} s"
-            parts.append(f"errors of a side of the shaft are {self.side_px:.1f} px (std {self.std_side_px:.1f}){last}")
         if self.rms_growth_px:
             parts.append(f"those that all masks share on one side are up to {max(self.rms_growth_px):.1f} px")
         return "; ".join(parts)
@@ -234,7 +214,7 @@ def estimate_margin(arms: Sequence[ArmOutlines]) -> tuple[Margin, list[Calibrati
     returns the calibration and the poses (N) of each arm with masks less the margin, if it is clear, and the camera of
     the file: a change of the camera that is estimated beside the margin is not used.
     """
-    there = linearise(arms, solve_unchanged, [MARGIN], passes=PASSES[MARGIN])[0]
+    there = linearise(arms, solve_unchanged, [MARGIN], passes=_PASSES)[0]
     (std,) = (float(there.std(one)[0]) for one in arms[0].outlines.blocks if one.name == MARGIN)
     margin = Margin.of(float(there.value(MARGIN)[0]), std)
     at, calibrations = [arm.at for arm in arms], [arm.calibration for arm in arms]

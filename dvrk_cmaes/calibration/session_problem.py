@@ -14,6 +14,7 @@ from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
+from dvrk_cmaes.calibration.autocorrelated_errors import CommonErrors, frames_alike
 from dvrk_cmaes.calibration.blocks import Calibration, SeenBlock
 from dvrk_cmaes.calibration.cables import CableFit, estimate_cables
 from dvrk_cmaes.calibration.consensus import (
@@ -30,20 +31,20 @@ from dvrk_cmaes.calibration.endoscope_search import describe_pieces, find_pieces
 from dvrk_cmaes.calibration.frame_fit import FrameFit, first_starts, next_starts
 from dvrk_cmaes.calibration.frame_task import Run, SessionFrame, fit_task, gather_task, with_changed_cameras
 from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, SessionLag, in_common, refine_lag
-from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, CommonErrors, frames_alike
-from dvrk_cmaes.calibration.linearise import ArmOutlines, SessionOutlines, few_of
+from dvrk_cmaes.calibration.linearise import ArmOutlines, SessionOutlines
 from dvrk_cmaes.calibration.mask_growth import GrowthEstimate, MaskGrowth
 from dvrk_cmaes.calibration.model import Deviations, SessionModel
 from dvrk_cmaes.calibration.session_camera import (
+    CAMERA,
     IMPLAUSIBLE,
     CameraChange,
     CameraCheck,
+    Lens,
     camera_undetermined,
     check_camera,
     estimate_camera,
     file_deviations,
 )
-from dvrk_cmaes.calibration.session_lens import Lens
 from dvrk_cmaes.calibration.session_masks import Margin, MaskMargin, SessionMasks, estimate_margin, margins_of
 from dvrk_cmaes.calibration.session_rig import ViewRotation
 from dvrk_cmaes.calibration.session_shaft import InstrumentSizes
@@ -52,12 +53,11 @@ from dvrk_cmaes.calibration.solve import (
     FrameFits,
     Solved,
     leave_one_out,
-    solution_at,
     solve_arms,
     solve_with_modes,
 )
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
-from dvrk_cmaes.calibration.variances import LastingEstimate, estimate_lasting, solve_with_variances
+from dvrk_cmaes.calibration.variances import solve_with_variances
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -122,8 +122,8 @@ class ArmSession:
 
     ``change`` (3,) is that of the camera, as of `stored_frame.changed`, None where the camera's file is used, and
     ``of_change`` (3, 3) its covariance, None until it is estimated; ``rig`` what the further views differ in from the
-    file; ``margins`` those of the views' masks by name, empty until they are estimated; ``lasting`` the size of
-    autocorrelated errors of the masks, ``growth`` what is known of their errors on some sides, None until estimated.
+    file; ``margins`` those of the views' masks by name, empty until they are estimated; ``growth`` what is known of
+    their errors on some sides, None until estimated.
 
     ``remarks`` are about faults of the session as a whole that are put right, ``undetermined`` about what it does not
     determine; ``left_out`` are the reasons for which frames are left out, by name.
@@ -138,7 +138,6 @@ class ArmSession:
     change: Float64 | None = None
     of_change: Float64 | None = None
     margins: tuple[tuple[str, Margin], ...] = ()
-    lasting: LastingEstimate | None = None
     growth: GrowthEstimate | None = None
     cables: tuple[CableFit, CableFit] | None = None
     stored: tuple[StoredFrame, ...] = ()
@@ -206,20 +205,18 @@ class ArmSession:
     @property
     def masks(self) -> SessionMasks | None:
         """What is stated of errors that the masks share; None if their margin was not estimated."""
-        return SessionMasks.of(self.margins, self.lasting, self.growth) if self.margins else None
+        return SessionMasks.of(self.margins, self.growth) if self.margins else None
 
     @property
     def common(self) -> CommonErrors:
         """The errors that the frames share."""
         by_lag = self.lag.change_of_predictions(self.model, self.solution.calibration)
-        size = USUAL_SIZE if self.lasting is None else self.lasting.size
-        return CommonErrors(size, self.times, by_lag, self.setup.config.session.alike_seconds)
+        return CommonErrors(self.times, by_lag, self.setup.config.session.alike_seconds)
 
     def outlines(self, *, keep_all: bool = False) -> FrameFits:
         """Return the current fits; without the outlines that do not explain the mask, unless ``keep_all``."""
         fits = [fit if fit.explains_mask or keep_all else fit.without_outline() for fit in self.fits]
-        terms = [fit.whole_outline for fit in fits]
-        return FrameFits.with_lasting(Posed.stacked(fit.at for fit in fits), terms, self.common)
+        return FrameFits.of(fits, self.common)
 
     def views_as_blocks(self, view: str | None = None, *, file_tells: bool = False) -> SessionOutlines:
         """Return the outlines of all frames in a view, as functions of the camera and the margin.
@@ -406,9 +403,7 @@ def solved(arms: Arms) -> Arms:
         Too few frames of an arm agree, or the camera is to be refined and its estimate is not plausible.
     """
     arms = [_with_evidence(arm) for arm in arms]
-    rounds = _rounds(arms[0].setup)
-    arms, begun = _begun_with_few(arms, rounds)
-    for one in rounds[begun:]:
+    for one in _rounds(arms[0].setup):
         arms = _round(arms, one)
         if one.then == "camera":
             arms = _with_camera(arms)
@@ -440,42 +435,6 @@ def _round(arms: Arms, one: Round) -> Arms:
         if arms[0].setup.refine_camera and one.number:
             raise arms[0].camera_refused(IMPLAUSIBLE) from error
         raise
-
-
-def _begun_with_few(arms: Arms, rounds: Sequence[Round]) -> tuple[Arms, int]:
-    """Do the rounds whose predictions are widened with few of many frames; also returns the number of these rounds.
-
-    They only serve to find the calibration from which all frames are then fitted. With another camera than the file's,
-    the frames' own modes are no starts after them, so all frames take part in all rounds.
-
-    Parameters
-    ----------
-    arms
-        The arms, initialised.
-    rounds
-        All rounds.
-    """
-    index = [few_of(len(arm.frames)) for arm in arms]
-    widened = [one for one in rounds[:-1] if one.scale != 1.0]  # all frames take part in the last one in any case
-    if arms[0].setup.refine_camera or not widened or all(of_arm is None for of_arm in index):
-        return arms, 0
-    few = [arm if own is None else arm.subset(own.tolist()) for arm, own in zip(arms, index, strict=True)]
-    few = [_with_modes(arm, whole.solution.calibration) for arm, whole in zip(few, arms, strict=True)]
-    for one in widened:
-        few = _round(few, one)
-    begun = []
-    for arm, own in zip(arms, few, strict=True):
-        told = replace(arm.lag, lag=own.lag.lag, undetermined=own.lag.undetermined)
-        lag = told if told.all_have_readings else arm.lag
-        model = lag.corrected(replace(arm.model, deviations=own.model.deviations))
-        begun.append(_with_modes(replace(arm, lag=lag, model=model), own.solution.calibration))
-    return begun, len(widened)
-
-
-def _with_modes(arm: ArmSession, calibration: Calibration) -> ArmSession:
-    """Return the arm with a calibration as its solution, and with what the frames' own modes tell of it."""
-    modes = FrameFits.of_modes(choose_modes(arm.model, arm.modes, calibration))
-    return replace(arm, found=solution_at([ArmFrames(arm.model, modes, calibration)])[0])
 
 
 def _fitted_in(arm: ArmSession, one: Round) -> ArmSession:
@@ -596,8 +555,10 @@ def _with_camera(arms: Arms) -> Arms:
         for k, own in zip(group, estimates, strict=True):
             out[k] = replace(arms[k], of_change=None)
             if all(estimate.plausible for estimate in estimates):
-                out[k] = replace(arms[k], change=own.change, of_change=own.covariance)
-                out[k] = replace(out[k], start=own.calibration, moved=own.at)
+                calibration = own.solution.calibration
+                place = calibration.place(CAMERA)
+                out[k] = replace(arms[k], change=own.value(CAMERA), of_change=own.covariance[place, place])
+                out[k] = replace(out[k], start=calibration.alone(), moved=own.at)
     return out
 
 
@@ -626,14 +587,9 @@ def _with_margins(arms: Arms) -> Arms:
 
 
 def _finished(arms: Arms) -> Arms:
-    """Solve once more with all that was found from the fits of the last round, and the size of lasting errors."""
-    arms = _solved_from(arms)
-    done = []
-    for arm in arms:
-        lasting = estimate_lasting(arm.model, arm.fits, arm.solution, arm.times)
-        done.append(replace(arm, lasting=lasting, fits=tuple(fit.with_size(lasting.size) for fit in arm.fits)))
-    arms, near = _solved_from(done), []
-    for arm in arms:
+    """Solve once more with all that was found from the fits of the last round."""
+    near = []
+    for arm in _solved_from(arms):
         pairs = zip(arm.fits, arm.model.priors(arm.solution.calibration), strict=True)
         fits = tuple(fit.moved_to(own) if fit.step_to(own) < _NEAR else fit for fit, own in pairs)
         near.append(replace(arm, fits=fits))

@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.autocorrelated_errors import CommonErrors, frames_alike
 from dvrk_cmaes.calibration.blocks import Calibration
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes
 from dvrk_cmaes.calibration.frame_fit import FrameFit
-from dvrk_cmaes.calibration.lasting_errors import CommonErrors, LastingSlopes, frames_alike, without_lasting
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.geometry import Float64, Indices, Posed
 from dvrk_cmaes.pose.refine.elimination import Eliminated, eliminate, times
@@ -40,17 +40,15 @@ class FrameFits:
     """Quadratic approximations of the outline terms of N frames, without the session's prior.
 
     ``at`` are the N points of expansion. ``outlines`` (N, D + E) are the approximations for changes from there, D = 6 +
-    J, and for changes of E further unknowns from the values of their blocks, ``seen``; most often there are none.
-    The slope is zero at an outline's own optimum. ``lasting`` are the changes of these slopes by errors of the masks
-    that last from frame to frame, and ``by_lag`` (N, D) the changes of what is predicted by one standard deviation of
-    the lag between images and readings; none by default. ``shares`` (N,) are the shares of one frame as which each
-    counts, because others err like it; 1 by default.
+    J, and for changes of E further unknowns from the values of their blocks, ``seen``; most often there are none. The
+    slope is zero at an outline's own optimum. ``by_lag`` (N, D) are the changes of what is predicted by one standard
+    deviation of the lag between images and readings; none by default. ``shares`` (N,) are the shares of one frame as
+    which each counts, because others err like it; 1 by default.
     """
 
     at: Posed
     outlines: Quadratic
     seen: Mapping[str, Float64] = field(default_factory=dict)
-    lasting: LastingSlopes | None = None
     by_lag: Float64 | None = None
     shares: Float64 | float = 1.0
 
@@ -61,28 +59,18 @@ class FrameFits:
         return cls(Posed.stacked(mode.at for mode in modes), Quadratic(information, np.zeros(information.shape[:2])))
 
     @classmethod
-    def of(cls, fits: Sequence[FrameFit]) -> FrameFits:
-        """Stack the fits of single frames."""
+    def of(cls, fits: Sequence[FrameFit], common: CommonErrors | None = None) -> FrameFits:
+        """Stack the fits of single frames, with the errors that they share."""
         outlines = Quadratic(np.array([fit.information for fit in fits]), np.array([fit.slope for fit in fits]))
-        return cls(Posed.stacked(fit.at for fit in fits), outlines)
+        at = Posed.stacked(fit.at for fit in fits)
+        return cls(at, outlines) if common is None else cls.sharing(at, outlines, common, {})
 
     @classmethod
-    def with_lasting(
-        cls, at: Posed, terms: Sequence[Quadratic], common: CommonErrors, seen: Mapping[str, Float64] | None = None
-    ) -> FrameFits:
-        """Stack the outlines' terms of N frames, whose last unknowns are the errors that last, and eliminate these.
-
-        ``common`` are the errors that the frames share; ``seen`` as above.
-        """
-        seen = {} if seen is None else seen
-        own = 6 + at.joints.shape[1] + sum(len(block) for block in seen.values())
-        most = max(of_frame.dimension for of_frame in terms)
-        stacked = Quadratic.joined([of_frame.padded(most) for of_frame in terms])
-        lasting = LastingSlopes.of(stacked, most - own, common.size, common.times)
-        outlines = without_lasting(stacked, most - own, common.size)
-        counted = stacked.information.any(axis=(1, 2))  # those without an outline are no others beside a frame
+    def sharing(cls, at: Posed, outlines: Quadratic, common: CommonErrors, seen: Mapping[str, Float64]) -> FrameFits:
+        """Return the outlines of N frames with the errors that these share; ``seen`` as above."""
+        counted = outlines.information.any(axis=(1, 2))  # those without an outline are no others beside a frame
         shares = 1 / frames_alike(np.where(counted, common.times, np.nan), common.alike_seconds)
-        return cls(at, outlines, seen, lasting, common.by_lag, shares)
+        return cls(at, outlines, seen, common.by_lag, shares)
 
     @property
     def further(self) -> Float64:
@@ -113,11 +101,10 @@ class FrameFits:
 
     def subset(self, index: list[int] | NDArray[np.integer]) -> FrameFits:
         """Return the fits of the frames at some indices."""
-        lasting = None if self.lasting is None else self.lasting.subset(index)
         by_lag = None if self.by_lag is None else self.by_lag[index]
         outlines = self.outlines.select([int(i) for i in index])
         shares = np.broadcast_to(self.shares, len(self.at))[index]
-        return FrameFits(self.at[index], outlines, self.seen, lasting, by_lag, shares)
+        return FrameFits(self.at[index], outlines, self.seen, by_lag, shares)
 
 
 class ArmFrames(NamedTuple):
@@ -136,8 +123,7 @@ class ArmEquations:
     squared Mahalanobis distances between outline and prediction. ``frame_information`` (N, K, K) and ``frame_slopes``
     (N, K) are what each frame adds to the information matrix and to the gradient of half the sum of squares, less where
     frames count as a share of one; ``independent`` (K, K) the covariance of the sum of these gradients if the frames
-    were independent. ``lasting`` are the changes of the gradients by errors of the masks that are autocorrelated,
-    ``by_lag`` (K,) is the change of their sum by one standard deviation of the lag.
+    were independent. ``by_lag`` (K,) is the change of their sum by one standard deviation of the lag.
     """
 
     calibration: Calibration
@@ -146,7 +132,6 @@ class ArmEquations:
     frame_information: Float64
     frame_slopes: Float64
     independent: Float64
-    lasting: LastingSlopes
     by_lag: Float64
 
 
@@ -155,16 +140,15 @@ class Whole:
     """The normal equations of all arms by the G unknowns of the session, of which those that arms share stand once.
 
     ``places`` are those of each arm's unknowns among them. ``information`` (G, G), ``gradient`` (G,); ``independent``
-    (G, G) is the covariance of the gradient if the frames were independent, ``between`` (G, G) what autocorrelated
-    errors of the masks add to that, ``scattered`` (G, G) that by the scatter of successive parts of the recording;
-    ``by_lag`` (G,) is the change of the gradient by one standard deviation of the lag.
+    (G, G) is the covariance of the gradient if the frames were independent, ``scattered`` (G, G) that by the scatter of
+    successive parts of the recording; ``by_lag`` (G,) is the change of the gradient by one standard deviation of the
+    lag.
     """
 
     places: tuple[Indices, ...]
     information: Float64
     gradient: Float64
     independent: Float64
-    between: Float64
     scattered: Float64
     by_lag: Float64
 
@@ -177,26 +161,24 @@ class Whole:
             prior[np.ix_(place, place)] = arm.calibration.information
             deviation[place] = arm.calibration.deviation
         information, independent, gradient = prior.copy(), prior.copy(), prior @ deviation
-        between, parts = np.zeros((count, count)), np.zeros((_PARTS, count))
+        parts = np.zeros((_PARTS, count))
         for arm, place in zip(arms, places, strict=True):
             both = np.ix_(place, place)
             information[both] += arm.frame_information.sum(axis=0)
             independent[both] += arm.independent
-            between[both] += arm.lasting.between_frames
             gradient[place] += arm.frame_slopes.sum(axis=0)
             by_lag[place] += arm.by_lag
             sums = [part.sum(axis=0) for part in np.array_split(arm.frame_slopes, min(_PARTS, len(arm.weights)))]
             parts[: len(sums), place] += np.array(sums)
         used = parts[: max(min(_PARTS, len(arm.weights)) for arm in arms)]
         scattered = np.atleast_2d(len(used) * np.cov(used, rowvar=False))
-        return cls(places, information, gradient, independent, between, scattered, by_lag)
+        return cls(places, information, gradient, independent, scattered, by_lag)
 
     def covariance_of(self, inverse: Float64) -> Float64:
         """Return the covariance (G, G) for a given inverse (G, G) of the information, as with something added to it."""
         of_lag = np.outer(self.by_lag, self.by_lag)
         expected = inverse + inverse @ of_lag @ inverse
-        lasting = self.independent + self.between + of_lag
-        others = [np.diag(inverse @ slopes @ inverse) for slopes in (lasting, self.scattered)]
+        others = [np.diag(inverse @ slopes @ inverse) for slopes in (self.independent + of_lag, self.scattered)]
         factor = np.sqrt(np.maximum(np.max(others, axis=0) / np.diag(expected), 1.0))
         return np.asarray(factor[:, None] * expected * factor)
 
@@ -244,9 +226,9 @@ class Solved(ArmEquations):
         """Covariance (K, K) of the calibration, in the order of its steps.
 
         Frames share errors, which do not average out as those of independent frames do. Those that are near each other
-        in time count as one, and that of the lag is the same for all. Standard deviations grow where more is expected
-        of autocorrelated errors of the masks, and where the slopes of successive parts of the recording scatter more
-        (the covariance for clustered errors), as those of cables do.
+        in time count as one, and that of the lag is the same for all. Standard deviations grow where the slopes of
+        successive parts of the recording scatter more than expected (the covariance for clustered errors), as those of
+        cables do.
         """
         inverse = np.asarray(np.linalg.inv(self.whole.information), dtype=np.float64)
         alone = self.whole.covariance_of(inverse)[self._place]
@@ -306,31 +288,6 @@ def solve_arms(arms: Sequence[ArmFrames], *, steps: int = MOST_STEPS) -> list[So
     return solutions
 
 
-def cost_at(arms: Sequence[ArmFrames], calibrations: Sequence[Calibration], weights: Sequence[Float64]) -> float:
-    """Return the sum of squares of the arms' frames, with given weights (N,), and of the prior, at some calibrations.
-
-    It is that where the frames' own unknowns are best, up to a constant.
-    """
-    places, count = _places(calibrations)
-    prior, deviation, total = np.zeros((count, count)), np.zeros(count), 0.0
-    for arm, calibration, own, place in zip(arms, calibrations, weights, places, strict=True):
-        prior[np.ix_(place, place)], deviation[place] = calibration.information, calibration.deviation
-        total += float((np.broadcast_to(arm.fits.shares, len(own)) * own) @ _squares(arm.model, arm.fits, calibration))
-    return total + float(deviation @ prior @ deviation)
-
-
-def _squares(model: SessionModel, fits: FrameFits, calibration: Calibration) -> Float64:
-    """Return the sums of squares (N,) of frames at a calibration where their own unknowns are best."""
-    own, outlines = fits.at.joints.shape[1] + 6, fits.outlines
-    predicted, seen = model.predict(calibration).minus(fits.at), calibration.further - fits.further
-    known = np.asarray(np.linalg.inv(model.covariance(calibration)), dtype=np.float64)
-    of_own, cross = outlines.information[:, :own, :own] + known, outlines.information[:, :own, own:]
-    pulled = times(known, predicted) - outlines.slope[:, :own] - cross @ seen
-    squares = (predicted * times(known, predicted)).sum(axis=1)
-    squares += (seen * (outlines.information[:, own:, own:] @ seen + 2 * outlines.slope[:, own:])).sum(axis=1)
-    return np.asarray(squares - (pulled * np.linalg.solve(of_own, pulled[:, :, None])[:, :, 0]).sum(axis=1))
-
-
 def solve_unchanged(arms: Sequence[ArmFrames]) -> tuple[list[SessionModel], list[Solved]]:
     """Estimate the calibrations as `solve_arms`, and return the models as they were, too."""
     return [arm.model for arm in arms], solve_arms(arms)
@@ -368,25 +325,11 @@ def _equations(model: SessionModel, fits: FrameFits, calibration: Calibration) -
     frame_information = weighted @ frames.left.information @ jacobian
     frame_slopes = times(weighted, frames.left.slope)
     independent = np.einsum("n,nij->ij", shares, frame_information)
-    lasting, own = _of_calibration(fits, frames, weighted), fits.outlines.dimension - len(fits.further)
     by_lag = np.zeros(jacobian.shape[2])
     if fits.by_lag is not None:
+        own = fits.outlines.dimension - len(fits.further)
         by_lag = times(weighted @ frames.left.information[:, :, :own], fits.by_lag).sum(axis=0)
-    return ArmEquations(calibration, weights, misfit, frame_information, frame_slopes, independent, lasting, by_lag)
-
-
-def _of_calibration(fits: FrameFits, frames: Eliminated, weighted: Float64) -> LastingSlopes:
-    """Return what lasting errors do to the slopes by the calibration, (N, K), of frames whose own unknowns are gone.
-
-    ``weighted`` (N, K, D + E) are the transposed Jacobians of the predictions, times the frames' weights.
-    """
-    if fits.lasting is None:
-        return LastingSlopes.none(*weighted.shape[:2])
-    own = fits.outlines.dimension - len(fits.further)
-    to_left = np.swapaxes(frames.gain, 1, 2)
-    of_further = np.zeros((*to_left.shape[:2], len(fits.further)))
-    of_further[:, own:] = np.eye(len(fits.further))
-    return fits.lasting.mapped(weighted @ np.concatenate([to_left, of_further], axis=2))
+    return ArmEquations(calibration, weights, misfit, frame_information, frame_slopes, independent, by_lag)
 
 
 def _misfit(frames: Eliminated, optimum: Float64) -> Float64:

@@ -17,9 +17,9 @@ from typing import Final
 
 import numpy as np
 
+from dvrk_cmaes.calibration.autocorrelated_errors import CORRELATED_FRAMES
 from dvrk_cmaes.calibration.blocks import BASE_AXES, OUTER_OFFSETS, Calibration
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.lasting_errors import CORRELATED_FRAMES
 from dvrk_cmaes.calibration.model import Deviations, SessionModel, offset_deviations
 from dvrk_cmaes.calibration.prediction import FoundLag, Prediction, endoscope_at
 from dvrk_cmaes.config import TrustConfig

@@ -17,9 +17,9 @@ from typing import Final
 import numpy as np
 
 from dvrk_cmaes import _kernel
+from dvrk_cmaes.calibration.autocorrelated_errors import CORRELATED_FRAMES
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_fit import FrameFit
-from dvrk_cmaes.calibration.lasting_errors import CORRELATED_FRAMES
 from dvrk_cmaes.calibration.mask_growth import covariance_of_masks
 from dvrk_cmaes.calibration.prediction import Prediction, calibration_covariance
 from dvrk_cmaes.calibration.session_doubts import resting_on

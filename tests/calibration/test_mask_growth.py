@@ -11,8 +11,8 @@ from helpers.session_worlds import SMALL, make_frames_in_memory
 from helpers.transforms import apply
 
 from dvrk_cmaes import Body, FrameData, SessionCalibration, SessionFrame, calibrate_session
+from dvrk_cmaes.calibration.autocorrelated_errors import SINGLE
 from dvrk_cmaes.calibration.frame_fit import outline_and_masks
-from dvrk_cmaes.calibration.lasting_errors import SINGLE_SIZE
 from dvrk_cmaes.calibration.mask_growth import changes_by_masks
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
@@ -46,7 +46,7 @@ def near_truth(body: Body, pixels: int) -> tuple[Quadratic, np.ndarray]:
     (view,) = views_that_show(data.views, body)
     outline = OutlineConfig()
     coverage = Coverage([SizedView(view, blur=outline.blur)], outline, noise=1.0)
-    return outline_and_masks(coverage, at, [OutlineNoise(1.0, 19.0)], SINGLE_SIZE, None, as_seen=True)
+    return outline_and_masks(coverage, at, [OutlineNoise(1.0, 19.0)], SINGLE, None, as_seen=True)
 
 
 def test_errors_of_masks_change_what_an_outline_tells_as_its_derivative_says(bundled_body: Body) -> None:

@@ -137,13 +137,6 @@ def test_masks_that_are_far_too_wide_are_a_doubt() -> None:
     assert doubts_of(session(masks=SessionMasks(1.2, 0.1, applied=True))) == ()
 
 
-def test_masks_with_large_errors_of_a_side_that_last_are_a_doubt() -> None:
-    masks = SessionMasks(0.6, 0.1, applied=True, side_px=2.66, std_side_px=0.42)
-    (text,) = doubts_of(session(masks=masks))
-    assert text.startswith("masks err by 2.7 px (std 0.4) on a side of the shaft")
-    assert doubts_of(session(masks=replace(masks, side_px=0.73))) == ()
-
-
 def test_known_mistake_of_the_camera_file_is_a_doubt_unless_another_camera_is_used() -> None:
     remarks = (f"{WRONG}fx 800 and fy 920 are 13 % apart", "camera file: focal lengths 200 and 200 px")
     assert doubts_of(session(remarks=remarks)) == remarks[:1]

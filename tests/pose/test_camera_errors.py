@@ -11,7 +11,7 @@ from helpers.session_worlds import SMALL, make_frames_in_memory
 
 from dvrk_cmaes import Body, Camera, InputError, estimate
 from dvrk_cmaes.calibration.blocks import ViewAsSeen
-from dvrk_cmaes.calibration.session_lens import OF_LENS, Lens
+from dvrk_cmaes.calibration.session_camera import OF_LENS, Lens
 from dvrk_cmaes.config import CameraConfig, EstimateConfig
 from dvrk_cmaes.geometry import Posed, apply
 from dvrk_cmaes.io.toml_file import read_config

@@ -188,7 +188,6 @@ OF_SESSIONS = (
     "all of it is",
     "the ends of the jaws are missing from the masks",
     "masks are",
-    "masks err by",
     "camera file: most likely wrong",
     "the camera file is contradicted",
     "the camera file cannot be tested",

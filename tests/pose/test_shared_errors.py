@@ -15,7 +15,7 @@ from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.coverage import Coverage
-from dvrk_cmaes.pose.terms.shared_errors import LASTING, SharedErrors, shared_errors, without_last
+from dvrk_cmaes.pose.terms.shared_errors import SIDES, SharedErrors, shared_errors, without_last
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.silhouette import OutlinePoints
@@ -36,7 +36,7 @@ def errors_of(body: Body, noise: OutlineNoise = NOISE, offsets: np.ndarray | Non
 def test_nodes_of_a_side_of_the_shaft_add_up_to_the_side(bundled_body: Body) -> None:
     """The error between two nodes is linear; if both are off by a pixel, so is all of the contour between them."""
     outline, errors = outline_of(bundled_body), errors_of(bundled_body)
-    sides = errors.columns[:, :LASTING]
+    sides = errors.columns[:, :SIDES]
     assert set(np.unique(sides)) == {0.0, 1.0}
     np.testing.assert_array_equal(sides.sum(axis=1), outline.link == 0)
     of_shaft = errors.columns[outline.link == 0]
@@ -57,9 +57,9 @@ def test_a_side_whose_mask_is_far_from_the_outline_is_expected_to_err_as_much(bu
     seen = errors_of(bundled_body, offsets=6.0 * side)
     assert seen.deviations[0] > 6.0
     assert seen.deviations[1] == errors.deviations[1]
-    assert seen.deviations[LASTING] == errors.deviations[LASTING]  # the margin of the whole mask
+    assert seen.deviations[SIDES] == errors.deviations[SIDES]  # the margin of the whole mask
     seen = errors_of(bundled_body, offsets=-6.0 * other)
-    np.testing.assert_array_equal(seen.deviations[:LASTING] > 6.0, [False, True])
+    np.testing.assert_array_equal(seen.deviations[:SIDES] > 6.0, [False, True])
 
 
 def test_shadow_beside_the_shaft_hardly_moves_a_fit_that_sees_it(bundled_body: Body) -> None:
@@ -71,7 +71,7 @@ def test_shadow_beside_the_shaft_hardly_moves_a_fit_that_sees_it(bundled_body: B
     coverage = Coverage([SizedView(replace(view, evidence=shadowed), blur=outline.blur)], outline)
     steps = []
     for as_seen in (False, True):
-        terms = without_last(coverage.near_with_lasting(TRUE, [NOISE], as_seen=as_seen), np.eye(LASTING))
+        terms = without_last(coverage.near_with_sides(TRUE, [NOISE], as_seen=as_seen), np.eye(SIDES))
         known = terms.information[0] + np.diag([1 / 0.001**2] * 3 + [1 / 0.02**2] * 6)
         steps.append(np.linalg.norm(np.linalg.solve(known, terms.slope[0])[:3]))
     assert steps[1] < 0.5 * steps[0]
@@ -104,10 +104,10 @@ def test_terms_are_those_of_columns_that_are_eliminated(bundled_body: Body, stri
         return errors.columns * np.linalg.norm(points.normals, axis=1)[:, None]
 
     exact = OutlineNoise(1e-9, 8.0)  # so that the errors are known but for those that last, which are left out
-    dense = coverage.near_with_lasting(at, [exact], columns, drawn, stride=stride)
-    own = dense.dimension - LASTING
+    dense = coverage.near_with_sides(at, [exact], columns, drawn, stride=stride)
+    own = dense.dimension - SIDES
     expected = without_last(Quadratic(dense.information[:, :own, :own], dense.slope[:, :own]), errors.information)
-    sparse = coverage.near_with_lasting(at, [NOISE], None, drawn, stride=stride, as_seen=as_seen)
-    found = without_last(sparse, np.eye(LASTING))
+    sparse = coverage.near_with_sides(at, [NOISE], None, drawn, stride=stride, as_seen=as_seen)
+    found = without_last(sparse, np.eye(SIDES))
     np.testing.assert_allclose(found.information, expected.information, rtol=1e-6)
     np.testing.assert_allclose(found.slope, expected.slope, rtol=1e-6)

@@ -157,7 +157,7 @@ class Coverage(OutlineTerm[DrawnCoverage]):
         """Return the loss near C poses, as a function of their small changes."""
         return Profiles(drawn, self._shares, self._density, self._width)
 
-    def near_with_lasting(
+    def near_with_sides(
         self,
         at: Posed,
         noises: Sequence[OutlineNoise],
@@ -169,9 +169,9 @@ class Coverage(OutlineTerm[DrawnCoverage]):
     ) -> Quadratic:
         """Return the approximation near one pose, with most of what the errors of the masks share eliminated.
 
-        The last unknowns, `LASTING` of each view, are the shared errors that last from frame to frame, in their
-        standard deviations; nothing is known of them beforehand. ``noises`` are those of the views' contours. ``kept``
-        gives E further unknowns, if any, which stay beside the pose: (1, D + E + V * LASTING), in standard deviations.
+        The last unknowns, `SIDES` of each view, are the errors of the shaft's sides as a whole, in their standard
+        deviations; nothing is known of them beforehand. ``noises`` are those of the views' contours. ``kept``
+        gives E further unknowns, if any, which stay beside the pose: (1, D + E + V * SIDES), in standard deviations.
         ``drawn`` is the pose where it was drawn before, with derivatives. Only every ``stride``-th point of the
         outlines is used, which stands for those beside it. ``as_seen`` is whether errors are expected to be as large as
         the mask shows them at the pose, where that is more than usual (`shared_errors`).

@@ -31,13 +31,13 @@ from dvrk_cmaes.silhouette import OutlinePoints
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
-LASTING = 2
-"""Number of shared errors of a view, the first ones, that last from frame to frame: both sides of the shaft's."""
+SIDES = 2
+"""Number of shared errors of a view, the first ones: of both sides of the shaft as a whole."""
 
 DIRECTIONS = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0]])
 """Right, left, down and up in the image, (2, 4)."""
 
-MEAN_ERRORS = 1 + LASTING + DIRECTIONS.shape[1]
+MEAN_ERRORS = 1 + SIDES + DIRECTIONS.shape[1]
 """Number of the mean errors of all masks (`mean_errors`)."""
 
 SHOWN = _kernel.Shown(usual=0.5, factor=2.0, most=8.0)
@@ -61,7 +61,7 @@ class SharedErrors:
     """M shared errors of the N points of an outline.
 
     ``columns`` (N, M) are the shares with which each displaces the points outwards; ``deviations`` (M,), px, are their
-    standard deviations. The first `LASTING` are those of both sides of the shaft as a whole, also where the outline
+    standard deviations. The first `SIDES` are those of both sides of the shaft as a whole, also where the outline
     has no such side, and the next one is the margin.
     """
 
