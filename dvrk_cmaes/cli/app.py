@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import errno
 import os
 import re
@@ -207,15 +206,4 @@ def _missing(error: CycloptsError, tokens: Sequence[str]) -> str | None:
     name = error.argument.name
     if any(token == name or token.startswith(f"{name}=") for token in tokens):
         return None  # given, but without a value
-    options = (token.partition("=")[0] for token in tokens if token.startswith("--"))
-    near = difflib.get_close_matches(name, [option for option in options if option != name], n=1, cutoff=0.75)
-    if near and near[0] not in _options_of(error):
-        return f"{near[0]}: no such option; did you mean {name}?"
     return f"{name}: missing; it is required"
-
-
-def _options_of(error: MissingArgumentError) -> set[str]:
-    """Return the names of all options of the command that an error is about."""
-    if error.app is None:
-        return set()
-    return {name for argument in error.app.assemble_argument_collection() for name in argument.names}

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,45 +24,7 @@ from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer, exit_code, note
 from dvrk_cmaes.errors import DvrkCmaesError
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.segment import Segmentation
     from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
-
-
-@dataclass(frozen=True, eq=False)
-class ImageOutcome:
-    """ImageOutcome of one image: its segmentation and the files written, or the reason why there is no mask."""
-
-    frame: str
-    found: Segmentation | None
-    written: dict[str, Path]
-    seconds: float = 0.0
-    problem: str = ""
-
-    @property
-    def status(self) -> str:
-        """``ok``; ``doubtful`` if the confidence is below that of a guess; ``failed`` without a mask."""
-        from dvrk_cmaes.segment.segmentation import GUESS
-
-        if self.found is None:
-            return "failed"
-        return "doubtful" if self.found.confidence < GUESS else "ok"
-
-    def moved(self, before: Path, now: Path) -> ImageOutcome:
-        """Return the outcome with its files in another folder."""
-        return replace(self, written={kind: now / path.relative_to(before) for kind, path in self.written.items()})
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        if self.found is None:
-            return {"status": "failed", "reason": self.problem}
-        return {
-            "status": self.status,
-            "confidence": round(self.found.confidence, 4),
-            "share": round(float(self.found.mask.mean()), 6),
-            "notes": list(self.found.notes),
-            **{kind: str(path) for kind, path in self.written.items()},
-            "seconds": round(self.seconds, 4),
-        }
 
 
 def segment(
@@ -138,18 +99,20 @@ def segment(
     with whole_folder(out, "segment", overwrite=True, kept=("masks", "overlays", "scores")) as temporary:
         for text in settings.notes:
             note(text)
-        outcomes = []
+        found = {}
         for frame, path in images.items():
             try:
-                outcomes.append(segment_file(frame, path, settings, hints, threads, temporary, instrument))
+                found[frame] = segment_file(frame, path, settings, hints, threads, temporary, instrument)
             except DvrkCmaesError as error:
                 if single:
                     raise
-                outcomes.append(ImageOutcome(frame, None, {}, problem=str(error)))
-    outcomes = [outcome.moved(temporary, out) for outcome in outcomes]
-    document = {"model": settings.model, "out": str(out), "frames": {o.frame: o.to_dict() for o in outcomes}}
-    answer(document, (line for outcome in outcomes for line in _lines(outcome)), json=json)
-    return exit_code(outcome.status for outcome in outcomes)
+                found[frame] = {"status": "failed", "reason": str(error)}
+    document = {"model": settings.model, "out": str(out), "frames": found}
+    for of_frame in found.values():
+        files = {kind: str(out / path) for kind, path in of_frame.pop("files", {}).items()}
+        of_frame |= files
+    answer(document, (line for frame, of_frame in found.items() for line in _lines(frame, of_frame)), json=json)
+    return exit_code(of_frame["status"] for of_frame in found.values())
 
 
 def _by_view(frames: Iterable[str]) -> dict[str, list[str]]:
@@ -162,8 +125,11 @@ def _by_view(frames: Iterable[str]) -> dict[str, list[str]]:
 
 def segment_file(
     frame: str, path: Path, settings: SegmentSettings, hints: Hints, threads: int, out: Path, instrument: str
-) -> ImageOutcome:
-    """Segment one image and write score, overlay and, as the last file, the mask."""
+) -> dict[str, Any]:
+    """Segment one image and write score, overlay and, as the last file, the mask; returns what was found, for JSON.
+
+    Its ``files`` are by kind, relative to ``out``. ``doubtful`` is a mask whose confidence is below that of a guess.
+    """
     from time import perf_counter
 
     import numpy as np
@@ -173,6 +139,7 @@ def segment_file(
     from dvrk_cmaes.results.paths import mask_path, overlay_path
     from dvrk_cmaes.segment import segment as segment_image
     from dvrk_cmaes.segment.overlay import draw_segmentation
+    from dvrk_cmaes.segment.segmentation import GUESS
 
     image = read_image(path)
     started = perf_counter()
@@ -190,31 +157,37 @@ def segment_file(
     seconds = perf_counter() - started
     if not found.mask.any():
         raise DvrkCmaesError(f"{path}: no instrument found; a box or a point on the instrument would help")
-    written = {"mask": mask_path(out, frame), "overlay": overlay_path(out, frame)}
+    here = Path()
+    files = {"mask": mask_path(here, frame), "overlay": overlay_path(here, frame)}
+    write_image(out / files["overlay"], draw_segmentation(image, found, frame, **prompts))
     if found.score is not None:
-        written["score"] = out / "scores" / f"{frame}.png"
-        write_image(written["score"], np.asarray(np.clip(found.score * 255 + 0.5, 0, 255), np.uint8))
-    write_image(written["overlay"], draw_segmentation(image, found, frame, **prompts))
+        files["score"] = Path("scores", f"{frame}.png")
+        write_image(out / files["score"], np.asarray(np.clip(found.score * 255 + 0.5, 0, 255), np.uint8))
     for number, other in enumerate(found.others, start=2):
-        written[f"mask_{number}"] = out / "others" / f"{frame}-{number}.png"
-        write_image(written[f"mask_{number}"], other.mask)
-    write_image(written["mask"], found.mask)
-    return ImageOutcome(frame, found, written, seconds)
+        files[f"mask_{number}"] = Path("others", f"{frame}-{number}.png")
+        write_image(out / files[f"mask_{number}"], other.mask)
+    write_image(out / files["mask"], found.mask)
+    return {
+        "status": "doubtful" if found.confidence < GUESS else "ok",
+        "confidence": round(found.confidence, 4),
+        "share": round(float(found.mask.mean()), 6),
+        "before": found.before,
+        "notes": list(found.notes),
+        "seconds": round(seconds, 4),
+        "files": files,
+    }
 
 
-def _lines(outcome: ImageOutcome) -> Iterator[Line]:
+def _lines(frame: str, found: Mapping[str, Any]) -> Iterator[Line]:
     """Yield the lines of one image: confidence, area, notes and the files written."""
-    if outcome.found is None:
-        yield Line(f"{outcome.frame}: failed: {outcome.problem}", STATUS_STYLES["failed"])
+    style = STATUS_STYLES[found["status"]]
+    if found["status"] == "failed":
+        yield Line(f"{frame}: failed: {found['reason']}", style)
         return
-    share = f"{100 * float(outcome.found.mask.mean()):.1f} % of the image"
-    before = "" if outcome.found.before is None else f", by its {outcome.found.before}"
-    word = "a guess, " if outcome.status == "doubtful" else ""
-    yield Line(
-        f"{outcome.frame}: {word}confidence {outcome.found.confidence:.2f}, {share}{before}, {outcome.seconds:.2f} s",
-        STATUS_STYLES[outcome.status],
-    )
-    for text in outcome.found.notes:
-        if text != "a guess":
-            yield Line(f"  {text}")
-    yield Line("  " + "   ".join(f"{kind}: {path}" for kind, path in outcome.written.items()))
+    before = "" if found["before"] is None else f", by its {found['before']}"
+    word = "a guess, " if found["status"] == "doubtful" else ""
+    area = f"{100 * found['share']:.1f} % of the image{before}"
+    yield Line(f"{frame}: {word}confidence {found['confidence']:.2f}, {area}, {found['seconds']:.2f} s", style)
+    yield from (Line(f"  {text}") for text in found["notes"] if text != "a guess")
+    kinds = [kind for kind in found if kind in ("mask", "overlay", "score") or kind.startswith("mask_")]
+    yield Line("  " + "   ".join(f"{kind}: {found[kind]}" for kind in kinds))

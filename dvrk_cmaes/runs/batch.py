@@ -32,7 +32,6 @@ from dvrk_cmaes.results.result import Result, Status
 from dvrk_cmaes.runs.agreement import compare_bases
 from dvrk_cmaes.runs.backgrounds import with_backgrounds
 from dvrk_cmaes.runs.manifest import (
-    Manifest,
     check_same_frames,
     check_same_settings,
     frame_stamps,
@@ -47,7 +46,6 @@ from dvrk_cmaes.runs.output import (
     check_names,
     chosen_frames,
     complete_results,
-    has_results,
     refuse_strange_results,
     results_of,
     write_outcome,
@@ -182,16 +180,18 @@ def run_batch(
             ran += 1
             statuses[outcome.result.status] += 1
             workers.progress(ran, len(todo), statuses)
-        finished = finish(out, timing_of(ran, time.monotonic() - started))
+        finished = finish(out, timing_of(ran, time.monotonic() - started), settings.trust)
     document, interrupted = finished.summary or {}, workers.stop.is_set() and ran < len(todo)
     counts, files = document["counts"], {each.name: each for each in frames}
     return BatchSummary(out, counts, ran, interrupted, document, finished.frames, setup, files)
 
 
-def finish(out: str | Path, timing: Mapping[str, float] | None = None) -> ResultsFolder:
+def finish(
+    out: str | Path, timing: Mapping[str, float] | None = None, trust: TrustConfig | None = None
+) -> ResultsFolder:
     """Write the tables and the page of the results in a folder, and return these results with their new summary.
 
-    Each result is parsed once.
+    Each result is parsed once. Bases are compared by the limit of ``trust``, by default that of new settings.
 
     Raises
     ------
@@ -199,35 +199,22 @@ def finish(out: str | Path, timing: Mapping[str, float] | None = None) -> Result
         The folder has no results of a batch, or a result is damaged; the message has its path.
     """
     out = Path(out)
-    manifest = _manifest(out)
-    results = _read(out)
-    if results.frames:
-        limit = manifest["config"].get("trust", {}).get("largest_base_deg", TrustConfig.largest_base_deg)
+    manifest = read_manifest(out)
+    if manifest is None:
+        raise InputError(f"{out}: expected results of a batch, got none")
+    results = ResultsFolder(out, {}, None, None)
+    if any((out / "frames").glob("*.json")):
+        results = read_results(out, summary=False)  # which is replaced
+        limit = (trust or TrustConfig()).largest_base_deg
         results = replace(results, frames=compare_bases(out, results.frames, limit))
-    document = summarize(results.frames, manifest, timing, calibration=results.session)
-    if results.frames:
         write_text(out / POSES, table_text(pose_rows(results.frames.values())))
-    write_json(out / SUMMARY, document)
-    results = replace(results, summary=document)
+    results = replace(results, summary=summarize(results.frames, manifest, timing, calibration=results.session))
+    write_json(out / SUMMARY, results.summary)
     if results.frames:
         from dvrk_cmaes.report.page import write_page
 
         write_page(out, results)
     return results
-
-
-def _read(folder: Path) -> ResultsFolder:
-    """Read the results in a folder, if there are any, without the summary that is there, since it is replaced."""
-    if not has_results(folder):
-        return ResultsFolder(folder, {}, None, None)
-    return read_results(folder, summary=False)
-
-
-def _manifest(folder: Path) -> Manifest:
-    manifest = read_manifest(folder)
-    if manifest is None:
-        raise InputError(f"{folder}: expected results of a batch, got none")
-    return manifest
 
 
 def _prepare(

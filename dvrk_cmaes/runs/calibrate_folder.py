@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -56,11 +56,11 @@ def begin_folder(
     out: Path,
     processes: Pool,
     *,
-    alone: Path | None = None,
-    refine_camera: bool = False,
-    lag: Lag | Literal["auto"] | None = None,
+    alone: Path,
+    refine_camera: bool,
+    lag: Lag | Literal["auto"] | None,
     config: EstimateConfig,
-    progress: Callable[[str, int], None] = lambda stage, count: None,
+    progress: Callable[[str, int], None],
 ) -> Begun[SolvedSession]:
     """Solve a session folder of an arm from its frames' own results; what finishes it writes everything to a folder.
 
@@ -94,82 +94,60 @@ def begin_folder(
     run = functools.partial(run_with_body, processes, instrument_digest(instrument), config)
     series, refined = session.reading_series(), (refine_camera or session.guessed, session.guessed)
     problem = ArmSetup(series, instrument, arm.kinematics, config, run, progress, *refined, lag=lag)
-    folder = _FolderAlone(replace(arm, session=session), files, out, alone, config, progress, run)
-    return begin_arm(frames, problem).then(folder.written)
+    return begin_arm(frames, problem).then(functools.partial(_written, arm, files, out, alone, config, progress, run))
 
 
-@dataclass(frozen=True, eq=False)
-class _FolderAlone:
-    """A session folder that is solved, with its ``files`` by frame, and where it is written, as of `begin_folder`.
+def _written(
+    arm: ArmInSession,
+    files: Mapping[str, FrameFiles],
+    out: Path,
+    alone: Path,
+    config: EstimateConfig,
+    progress: Callable[[str, int], None],
+    run: Run[Any, Any],
+    found: tuple[SolvedSession, dict[str, Evidence]],
+) -> SolvedSession:
+    """Write a calibration with drawings of its frames; returns it with the cameras with which it was solved.
 
-    ``run`` applies a function to many tasks.
+    Arguments are as of `begin_folder`, with the ``files`` by frame; ``run`` applies a function to many tasks.
     """
+    (solved, evidence), session = found, arm.session
+    progress("drawing", len(solved.leave_one_out))
+    corrected = Rig(solved.calibration.corrected_views(session.rig.views))
+    calibration = replace(solved.calibration, views=tuple(ViewDocument.of(view) for view in corrected.views))
+    # the camera that was found is the session's from here on
+    if session.guessed and calibration.camera is not None:
+        calibration = replace(calibration, camera=calibration.camera.of_the_camera_found())
+        session = replace(session, rig=corrected)
+    solved = replace(solved, calibration=calibration)
+    tasks = [(files[k], solved.results[k], left_out, evidence[k]) for k, left_out in solved.leave_one_out.items()]
+    drawn = run(functools.partial(draw_task, rig=session.rig, calibrated=corrected), tasks)
+    pictures = dict(zip(solved.leave_one_out, drawn, strict=True))
+    with whole_folder(out, "calibrate", overwrite=True, kept=(ALONE,)) as place:
+        for name, result in solved.results.items():
+            if name in pictures:
+                overlay, left_out_overlay = pictures[name]
+                write_bytes(overlay_path(place, name), overlay)
+                write_bytes(left_out_path(place, name), left_out_overlay)
+            elif overlay_path(alone, name).is_file():
+                write_bytes(overlay_path(place, name), overlay_path(alone, name).read_bytes())
+            write_json(result_path(place, name), result.to_dict())
+        write_cameras(calibration, session.rig, place)
+        write_json(place / SESSION, calibration.to_dict())
+        setup = BatchSetup(arm.body.instrument, session.rig, config, arm.kinematics, session.folder)
+        stamps = {own.name: frame_stamps(own) for own in session.frames if own.name in solved.results}
+        opened_output(place).describe(manifest_of(setup, stamps) | {"solved": "together"})
+        finish(place, trust=config.trust)
+    return solved
 
-    arm: ArmInSession
-    files: Mapping[str, FrameFiles]
-    out: Path
-    alone: Path | None
-    config: EstimateConfig
-    progress: Callable[[str, int], None]
-    run: Run[Any, Any]
 
-    def written(self, found: tuple[SolvedSession, dict[str, Evidence]]) -> SolvedSession:
-        """Write a calibration with drawings of its frames; returns it with the cameras with which it was solved."""
-        (solved, evidence), session = found, self.arm.session
-        self.progress("drawing", len(solved.leave_one_out))
-        corrected = Rig(solved.calibration.corrected_views(session.rig.views))
-        calibration = replace(solved.calibration, views=tuple(ViewDocument.of(view) for view in corrected.views))
-        # the camera that was found is the session's from here on
-        if session.guessed and calibration.camera is not None:
-            calibration = replace(calibration, camera=calibration.camera.of_the_camera_found())
-            session = replace(session, rig=corrected)
-        solved = replace(solved, calibration=calibration)
-        tasks = [
-            (self.files[k], solved.results[k], left_out, evidence[k]) for k, left_out in solved.leave_one_out.items()
-        ]
-        drawn = self.run(functools.partial(draw_task, rig=session.rig, calibrated=corrected), tasks)
-        pictures = dict(zip(solved.leave_one_out, drawn, strict=True))
-        with whole_folder(self.out, "calibrate", overwrite=True, kept=(ALONE,)) as written:
-            _write(solved, pictures, replace(self.arm, session=session), written, self.config, self.alone)
-        return solved
-
-
-def _with_mask(files: FrameFiles, alone: Path | None) -> FrameFiles:
+def _with_mask(files: FrameFiles, alone: Path) -> FrameFiles:
     """Return a frame with the masks that were found in its images, where it has no masks of its own."""
-    if files.has_mask or alone is None:
+    if files.has_mask:
         return files
     masks = {path.parent.name: path for path in found_masks(alone, files.name)}
-    if not files.others:
-        return replace(files, mask=next(iter(masks.values()), None))
     others = {name: replace(own, mask=masks.pop(name, None)) for name, own in files.others.items()}
     return replace(files, mask=next(iter(masks.values()), None), others=others)
-
-
-def _write(
-    solved: SolvedSession,
-    pictures: Mapping[str, tuple[bytes, bytes]],
-    arm: ArmInSession,
-    out: Path,
-    config: EstimateConfig,
-    alone: Path | None,
-) -> None:
-    """Write results, pictures, tables and page; session.json after its frames."""
-    session = arm.session
-    for name, result in solved.results.items():
-        if name in pictures:
-            overlay, left_out = pictures[name]
-            write_bytes(overlay_path(out, name), overlay)
-            write_bytes(left_out_path(out, name), left_out)
-        elif alone is not None and overlay_path(alone, name).is_file():
-            write_bytes(overlay_path(out, name), overlay_path(alone, name).read_bytes())
-        write_json(result_path(out, name), result.to_dict())
-    calibration = solved.calibration
-    write_cameras(calibration, session.rig, out)
-    write_json(out / SESSION, calibration.to_dict())
-    setup = BatchSetup(arm.body.instrument, session.rig, config, arm.kinematics, session.folder)
-    stamps = {files.name: frame_stamps(files) for files in session.frames if files.name in solved.results}
-    opened_output(out).describe(manifest_of(setup, stamps) | {"solved": "together"})
-    finish(out)
 
 
 def write_cameras(calibration: SessionCalibration, rig: Rig, out: Path) -> None:

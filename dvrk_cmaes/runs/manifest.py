@@ -1,8 +1,8 @@
 """What the results in a folder were made with: fields of its ``run.json``, compared before results are added.
 
-Fields: version, instrument {name, digest}, arm, camera, config, segment {model, weights}, calibration (digest
-or null), session (its path; not compared), rig (the further views of a stereo session), frames {frame: {part: size and
-time of a file, or digest}}
+Fields: version, instrument {name, digest}, arm, cameras (digest), config, segment {model, weights, backgrounds},
+calibration (digest or null), session (its path; not compared), frames {frame: {part: size and time of a file, or
+digest}}
 """
 
 from __future__ import annotations
@@ -10,15 +10,13 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from msgspec import Struct, field
+from msgspec import Struct
 
-from dvrk_cmaes.camera import Camera, Rig
-from dvrk_cmaes.config import TrustConfig, __version__
+from dvrk_cmaes.config import __version__
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
@@ -26,7 +24,7 @@ from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.atomic import json_text
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed, natural
-from dvrk_cmaes.io.typed_document import PositiveNumber, convert_document
+from dvrk_cmaes.io.typed_document import convert_document
 from dvrk_cmaes.results.folder import MANIFEST
 
 if TYPE_CHECKING:
@@ -131,57 +129,34 @@ class _Instrument(Struct):
     name: str
 
 
-class _Trust(Struct):
-    largest_base_deg: PositiveNumber = TrustConfig.largest_base_deg
-
-
-class _Config(Struct):
-    trust: _Trust = field(default_factory=_Trust)
-
-
 class _ManifestFields(Struct):
     """Fields of a manifest that are used after it is read; the others are only compared."""
 
     version: str
     session: str
     instrument: _Instrument
-    config: _Config
+    config: dict[str, Any]
     frames: dict[str, dict[str, str]]
 
 
 def manifest_of(setup: BatchSetup, frames: FrameParts) -> Manifest:
     """Return the manifest of a batch; ``frames`` are the stamps of each frame's parts."""
-    backgrounds = {view: digest_of(background) for view, background in sorted(setup.segment.backgrounds.items())}
+    segment = setup.segment
+    backgrounds = {view: digest_of(background) for view, background in sorted(segment.backgrounds.items())}
     return {
         "version": __version__,
         "instrument": {"name": setup.instrument.name, "digest": instrument_digest(setup.instrument)},
         "arm": setup.arm,
-        "camera": _described(setup.rig.camera),
+        "cameras": digest_of(setup.rig),
         "config": setup.config.as_dict(),
         "segment": {
-            "model": setup.segment.model,
-            "weights": None if setup.segment.weights is None else str(setup.segment.weights),
-            **({"backgrounds": backgrounds} if backgrounds else {}),
+            "model": segment.model,
+            "weights": None if segment.weights is None else str(segment.weights),
+            "backgrounds": backgrounds,
         },
         "calibration": None if setup.calibration is None else digest_of(json_text(setup.calibration.to_dict())),
         "session": str(setup.folder),
-        **({"rig": _further_views(setup.rig)} if len(setup.rig.views) > 1 else {}),
         "frames": _sorted(frames),
-    }
-
-
-def _described(camera: Camera) -> dict[str, Any]:
-    """Return the fields of a camera, for JSON, without what follows from them."""
-    fields = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(camera).items()}
-    del fields["remarks"]
-    return fields
-
-
-def _further_views(rig: Rig) -> dict[str, Any]:
-    """Return the further views of a rig by name: intrinsics and ``view_from_camera``."""
-    return {
-        view.name: {**_described(view.camera), "view_from_camera": view.view_from_camera.tolist()}
-        for view in rig.views[1:]
     }
 
 
@@ -210,12 +185,7 @@ def check_same_settings(out: Path, old: Manifest, new: Manifest) -> None:
     InputError
         A setting differs; the message states the old and new values of the first few.
     """
-    before, after = dict(_leaves(old)), dict(_leaves(new))
-    changes = [
-        f"{key}: {before.get(key, 'not there')} -> {after.get(key, 'not there')}"
-        for key in dict.fromkeys((*after, *before))
-        if before.get(key) != after.get(key)
-    ]
+    changes = [f"{key}: {value[0]} -> {value[1]}" for key, value in _changed(dict(_leaves(old)), dict(_leaves(new)))]
     if changes:
         more = f" and {len(changes) - _MOST_SHOWN} more" if len(changes) > _MOST_SHOWN else ""
         raise InputError(
@@ -264,14 +234,17 @@ def check_same_frames(
     missing = sorted(set(done) - set(session))
     if missing:
         raise InputError(f"{out}: it has results of frames that are not in the session: {listed(missing)}: {_ADVICE}")
-    changes = []
-    for name in sorted(set(done) & set(new)):
-        before, after = old["frames"].get(name, {}), new[name]
-        parts = [part for part in dict.fromkeys((*after, *before)) if before.get(part) != after.get(part)]
-        if parts:
-            changes.append(f"{name} ({', '.join(parts)})")
+    both = {name: [*_changed(old["frames"].get(name, {}), new[name])] for name in sorted(set(done) & set(new))}
+    changes = [f"{name} ({', '.join(part for part, _ in parts)})" for name, parts in both.items() if parts]
     if changes:
         raise InputError(f"{out}: frames have changed since their results were made: {listed(changes)}: {_ADVICE}")
+
+
+def _changed(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[tuple[str, tuple[Any, Any]]]:
+    """Yield the keys whose values differ, with both values."""
+    for key in dict.fromkeys((*after, *before)):
+        if before.get(key) != after.get(key):
+            yield key, (before.get(key, "not there"), after.get(key, "not there"))
 
 
 def with_frames(manifest: Manifest, more: FrameParts) -> Manifest:

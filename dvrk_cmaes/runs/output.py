@@ -82,11 +82,6 @@ def results_of(frames: Iterable[str], views: Iterable[str]) -> list[str]:
     ]
 
 
-def has_results(out: Path) -> bool:
-    """Whether a folder has results of frames."""
-    return any((out / "frames").glob("*.json"))
-
-
 def refuse_strange_results(out: Path, chosen: Collection[str], session: Collection[str]) -> None:
     """Check, before frames are estimated, that all results in a folder can be read when they are.
 
