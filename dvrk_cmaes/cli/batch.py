@@ -223,7 +223,7 @@ def batch(
     json
         Print only summary.json, on stdout.
     """
-    from dvrk_cmaes.cli.session_tools import doubt_exchanged, output_folder, read_arms, show_arms
+    from dvrk_cmaes.cli.session_tools import doubt_exchanged, output_folder, read_arms
 
     wanted.check()
     settings, by = MethodOptions(config=config).resolve(), {"count": wanted.workers, "time_limit": wanted.time_limit}
@@ -255,7 +255,6 @@ def batch(
             left = f"{done.counts['missing']} of {done.counts['frames']} frames are left"
             print_error(f"interrupted: {left}; {again} goes on from here")
             return INTERRUPTED
-        show_arms(results, arms, quiet=json)
         code = exit_code(result.status for each in finished.values() for result in each.results.values())
         return code or (DOUBTFUL if doubtful else 0)
 

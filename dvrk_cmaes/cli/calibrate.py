@@ -168,7 +168,7 @@ def calibrate(
     """
     from dvrk_cmaes.calibration.calibrate import check_outer_joints
     from dvrk_cmaes.calibration.together import Begun, solved_together
-    from dvrk_cmaes.cli.session_tools import doubt_exchanged, output_folder, read_arms, show_arms, write_bases
+    from dvrk_cmaes.cli.session_tools import doubt_exchanged, output_folder, read_arms, write_bases
     from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
     from dvrk_cmaes.io.output import output
     from dvrk_cmaes.results.folder import ALONE
@@ -204,7 +204,6 @@ def calibrate(
         if len(solved) > 1:
             calibrations = {name: solution.calibration for name, solution in solved.items()}
             doubtful = not write_bases(calibrations, setup, target, quiet=json) or doubtful
-        show_arms(target, arms, quiet=json)
     return DOUBTFUL if doubtful or any(map(_is_doubtful, solved.values())) else 0
 
 

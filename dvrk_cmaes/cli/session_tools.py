@@ -161,16 +161,6 @@ def doubt_exchanged(results: Mapping[str, Mapping[str, Result]], left_out: Mappi
     return bool(texts)
 
 
-def show_arms(out: Path, arms: Mapping[str, ArmInSession], *, quiet: bool) -> None:
-    """Write one overlay a frame with the tools of all arms, of several, and say where unless ``quiet``."""
-    from dvrk_cmaes.runs.arms import write_arms
-
-    if len(arms) > 1:
-        write_arms(out, arms)
-        if not quiet:
-            show([Line(f"all arms: {out / 'overlays'}")])
-
-
 def write_bases(
     calibrations: Mapping[str, SessionCalibration], setup: Mapping[str, Float64], out: Path, *, quiet: bool
 ) -> bool:

@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 import cv2
 import numpy as np
 
-from dvrk_cmaes.draw.arms_overlay import arm_colours
-from dvrk_cmaes.draw.canvas import DARK, GREEN, SKY_BLUE, VERMILLION, YELLOW, Canvas, Colour, beside
+from dvrk_cmaes.draw.canvas import DARK, GREEN, ORANGE, PURPLE, SKY_BLUE, VERMILLION, YELLOW, Canvas, Colour, beside
 from dvrk_cmaes.geometry import Bool, Image
 from dvrk_cmaes.results.tracked import TrackView
 
 _STATUS: dict[str, Colour] = {"ok": GREEN, "doubtful": YELLOW, "lost": VERMILLION}
+_ARMS: tuple[Colour, ...] = (SKY_BLUE, ORANGE, GREEN, PURPLE)  # in their order; the fifth has that of the first again
 _FAINT = 0.25  # brightness of the mask where there is no image
 _TINT = 0.35  # of an arm's colour within its tool
 _MASK_LINES, _LINES = 150, 320  # widths of a line in that of the picture: 4 and 2 px at 640 px, 9 and 4 px at 1280
@@ -40,7 +40,7 @@ def draw_track_of_arms(
     ``views`` have the arms' silhouettes, images and masks by arm; ``order`` are the arms from the farthest to the
     nearest, which is drawn over the others.
     """
-    colours, drawn = arm_colours(list(statuses)), []
+    colours, drawn = {arm: _ARMS[k % len(_ARMS)] for k, arm in enumerate(statuses)}, []
     for view in views:
         masks = [tool.mask for tool in view.values() if tool.mask is not None]
         first = next(iter(view.values()))

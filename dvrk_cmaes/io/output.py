@@ -555,11 +555,11 @@ def written_beside(path: Path, what: str) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def appended(path: Path, begin: bytes) -> Iterator[IO[bytes]]:
-    """Open a new file to append to, with its beginning; each write is in the file at once. Errors: as of the system.
+    """Open a new file to append to, with its beginning; each write is in the file at once. Errors: as `write_bytes`.
 
     In an output folder, an earlier file is replaced if it is the command's.
     """
-    with _target(path) as (folder, out, name, last):
+    with _writing(path, "results"), _target(path) as (folder, out, name, last):
         if out is not None:
             out.note(name, "")
         with open(_write(folder, last, begin), "ab", buffering=0) as file:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -27,7 +27,8 @@ from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import write_json, write_text
-from dvrk_cmaes.io.output import appended, not_written, output, remove
+from dvrk_cmaes.io.encode import encoded
+from dvrk_cmaes.io.output import appended, output, remove
 from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
@@ -310,10 +311,10 @@ class TrackedArm:
                 threads = settings.workers or usable_cores()
                 solver = stack.enter_context(SolverProcess(self.body.instrument, threads=threads))
                 schedule = SolutionSchedule(tracker, solver)
-            append = stack.enter_context(_lines(self.out))
+            file = stack.enter_context(appended(self.out / TRACKS, b""))
             for files, result in self._steps(tracker, schedule):
                 self.rows.append(self._row(files, result))
-                append(self.rows[-1])
+                file.write(line_of(self.rows[-1]).encode())
                 progress(len(self.rows), total)
                 if self._stop.is_set():
                     break
@@ -373,15 +374,8 @@ class TrackedArm:
         """Return what the results depend on."""
         session, settings = self.session, self.settings
         own = self.body.instrument, session.rig, settings.config, settings.arm, session.folder
-        followed = {
-            "lag": settings.lag,
-            "every": settings.every,
-            "joints": settings.use_joints,
-            "frames_a_second": settings.frames_a_second,
-            "causal": settings.causal,
-            "evidence": settings.evidence,
-            "hints": None if settings.hints is None else settings.hints.to_dict(),
-        }
+        names = ("lag", "every", "use_joints", "frames_a_second", "causal", "evidence", "hints")
+        followed = {name: encoded(getattr(settings, name)) for name in names}
         digests = {files.name: frame_stamps(files) for files in self.frames}
         return manifest_of(BatchSetup(*own, calibration=settings.calibration), digests) | {"track": followed}
 
@@ -410,18 +404,3 @@ def _with_lag(calibration: SessionCalibration, given: float | None, clock: Track
     factor, interval = (1.0, clock.interval) if clock.unit == "s" else (1.0 / clock.interval, 1.0)
     lag = Lag.of((given + besides) * factor, std * factor, clock.unit, interval, applied=True)
     return replace(calibration, lag=lag)
-
-
-@contextmanager
-def _lines(out: Path) -> Iterator[Callable[[dict[str, Any]], None]]:
-    """Begin tracks.jsonl, and give a function that appends a row."""
-    path = out / TRACKS
-    try:
-        with appended(path, b"") as file:
-
-            def append(row: dict[str, Any]) -> None:
-                file.write(line_of(row).encode())
-
-            yield append
-    except OSError as error:
-        raise not_written(path, error, "results") from None

@@ -89,7 +89,7 @@ def test_poses_that_are_ok_or_by_the_solution_are_near_the_truth(recording: Path
 def test_solution_is_written_and_shown_on_the_page(tracks: Path) -> None:
     assert len(read_calibration(tracks / "session.json").frames) >= 3
     page = (tracks / "report.html").read_text(encoding="utf-8")
-    assert "<h3>Keyframes</h3>" in page
+    assert "<h3>Offsets</h3>" in page
     assert "from frame " in page
 
 
