@@ -48,9 +48,7 @@ class Cylinder(NamedTuple):
     high: float
 
 
-def find_cylinder(
-    vertices: Float64, faces: NDArray[np.int32], axis: tuple[Float64, Float64] | None = None
-) -> Cylinder | None:
+def find_cylinder(vertices: Float64, faces: NDArray[np.int32]) -> Cylinder | None:
     """Find the longest straight circular cylinder in a mesh; None if none is at least three diameters long.
 
     Parameters
@@ -59,12 +57,8 @@ def find_cylinder(
         In metres.
     faces : (F, 3)
         Vertex indices.
-    axis
-        A point (3,) and the unit direction (3,) of a known axis; None to find the axis.
     """
     edges = edges_of(faces)
-    if axis is not None:
-        return _fit_about(vertices, edges, axis[1], fixed=axis[0])
     cylinder: Cylinder | None = None
     direction = _direction_across_normals(vertices, faces)
     for _ in range(_ITERATIONS):
@@ -84,10 +78,8 @@ def _direction_across_normals(vertices: Float64, faces: NDArray[np.int32]) -> Fl
     return np.asarray(vectors[:, 0])
 
 
-def _fit_about(
-    vertices: Float64, edges: NDArray[np.int32], direction: Float64, fixed: Float64 | None = None
-) -> Cylinder | None:
-    """Fit a cylinder about an approximate direction; with a point `fixed` on the axis, the axis is not changed."""
+def _fit_about(vertices: Float64, edges: NDArray[np.int32], direction: Float64) -> Cylinder | None:
+    """Fit a cylinder about an approximate direction."""
     slicer = Slicer(vertices, edges, direction)
     step = (slicer.high - slicer.low) / _SECTIONS
     heights = slicer.low + step * (np.arange(_SECTIONS) + 0.5)
@@ -112,8 +104,6 @@ def _fit_about(
     high = _bisect_end(inside_at, float(heights[run][-1]), min(float(heights[run][-1]) + step, slicer.high))
     if high - low < _LEAST_LENGTH * radius:
         return None
-    if fixed is not None:
-        return Cylinder(fixed, direction, radius, low, high)
     point = middle @ slicer.basis + heights[run].mean() * direction
     refined = direction + slope @ slicer.basis
     refined /= np.linalg.norm(refined)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import Float64, apply
+from dvrk_cmaes.geometry import apply
 from dvrk_cmaes.instrument.cylinder import Cylinder, find_cylinder
 from dvrk_cmaes.instrument.jaws import find_jaw_tips
 from dvrk_cmaes.instrument.model import Instrument, Shaft
@@ -15,30 +15,16 @@ from dvrk_cmaes.instrument.symmetry import resembles_twin
 
 _RADII = (0.25e-3, 25e-3)  # m, of shafts; those of instruments have 1.5 to 8 mm
 
-Axis = tuple[Float64, Float64]
 
-
-def with_measurements(instrument: Instrument, *, radius: float | None = None, axis: Axis | None = None) -> Instrument:
+def with_measurements(instrument: Instrument) -> Instrument:
     """Return an instrument with its shaft, jaw tips and ``has_twin`` measured on its meshes.
-
-    Parameters
-    ----------
-    instrument
-        Instrument whose shaft, jaw tips and ``has_twin`` are replaced.
-    radius
-        Shaft radius, m, to use instead of the measured one.
-    axis
-        Point (3,), m, and distal unit direction (3,) in the root link's frame, to use instead of the measured axis.
 
     Raises
     ------
     InputError
-        The radius is not positive, only one of radius and axis is given and the other cannot be measured, or the shaft
-        is as thin or thick as with meshes in other units than those of the URDF.
+        The shaft is as thin or thick as with meshes in other units than those of the URDF.
     """
-    if radius is not None and not (np.isfinite(radius) and radius > 0):
-        raise InputError(f"shaft_radius: expected a positive number of metres, got {radius!r}")
-    instrument = replace(instrument, shaft=(shaft := _shaft(instrument, radius, axis)))
+    instrument = replace(instrument, shaft=(shaft := _shaft(instrument)))
     if shaft is not None and not _RADII[0] <= shaft.radius <= _RADII[1]:
         raise InputError(
             f"{instrument.name}: expected a shaft with a radius of {1e3 * _RADII[0]:g} to {1e3 * _RADII[1]:g} mm, got "
@@ -48,32 +34,24 @@ def with_measurements(instrument: Instrument, *, radius: float | None = None, ax
     return replace(instrument, has_twin=resembles_twin(instrument))
 
 
-def _shaft(instrument: Instrument, radius: float | None, axis: Axis | None) -> Shaft | None:
+def _shaft(instrument: Instrument) -> Shaft | None:
     """Find the cylinder of the first link on which no joint moves the axis and the wrist lies beyond one end."""
     poses = instrument.forward(np.zeros(len(instrument.joint_names)))
     for index, link in enumerate(instrument.links):
         vertices = link.vertices @ poses[index, :3, :3].T + poses[index, :3, 3]
-        cylinder = find_cylinder(vertices, link.faces, axis)
+        cylinder = find_cylinder(vertices, link.faces)
         if cylinder is None or not _has_fixed_axis(instrument, index, cylinder):
             continue
-        oriented = _oriented_to_wrist(instrument, index, cylinder, may_reverse=axis is None)
+        oriented = _oriented_to_wrist(instrument, index, cylinder)
         if oriented is not None:
             return Shaft(
                 point=oriented.point,
                 direction=oriented.direction,
-                radius=oriented.radius if radius is None else radius,
+                radius=oriented.radius,
                 distal_end=oriented.high,
                 proximal_end=oriented.low,
             )
-    if axis is None and radius is None:
-        return None
-    if axis is None or radius is None:
-        given, missing = ("shaft_radius", "shaft_axis") if axis is None else ("shaft_axis", "shaft_radius")
-        raise InputError(
-            f"{instrument.name}: no straight cylinder found on the meshes to complete {given}: give {missing} too"
-        )
-    along = (instrument.links[0].vertices @ poses[0, :3, :3].T + poses[0, :3, 3]) @ axis[1]
-    return Shaft(axis[0], axis[1], radius, distal_end=float(along.max()), proximal_end=float(along.min()))
+    return None
 
 
 def _has_fixed_axis(instrument: Instrument, index: int, cylinder: Cylinder) -> bool:
@@ -89,17 +67,16 @@ def _has_fixed_axis(instrument: Instrument, index: int, cylinder: Cylinder) -> b
     return bool(np.linalg.norm(shifts, axis=-1).max() < 1e-4)
 
 
-def _oriented_to_wrist(instrument: Instrument, index: int, cylinder: Cylinder, *, may_reverse: bool) -> Cylinder | None:
+def _oriented_to_wrist(instrument: Instrument, index: int, cylinder: Cylinder) -> Cylinder | None:
     """Orient a link's cylinder towards the links below it; None if these do not lie beyond one of its ends.
 
     This excludes wrist pins: the links below them lie between the ends of the cylinder. The cylinder of an instrument
-    with a single link is oriented so that the largest component of its direction is positive. Without
-    ``may_reverse`` the direction is not changed.
+    with a single link is oriented so that the largest component of its direction is positive.
     """
     others = [k for k in range(len(instrument.links)) if k != index]
     if not others:
         positive = cylinder.direction[np.argmax(np.abs(cylinder.direction))] > 0
-        return cylinder if positive or not may_reverse else _reversed(cylinder)
+        return cylinder if positive else _reversed(cylinder)
     above = instrument.link_joints[index]
     below = [k for k in others if above < 0 or above in instrument.chain.path(instrument.link_joints[k])]
     if not below:
@@ -109,7 +86,7 @@ def _oriented_to_wrist(instrument: Instrument, index: int, cylinder: Cylinder, *
     along = float(np.mean(middles, axis=0) @ cylinder.direction)
     if cylinder.low <= along <= cylinder.high:
         return None
-    return _reversed(cylinder) if may_reverse and along < cylinder.low else cylinder
+    return _reversed(cylinder) if along < cylinder.low else cylinder
 
 
 def _reversed(cylinder: Cylinder) -> Cylinder:

@@ -11,11 +11,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike
-
 from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument import measure
 from dvrk_cmaes.instrument.cache import cache_file, read_cached, write_cached
 from dvrk_cmaes.instrument.joint_tree import build_joints, joints_below
@@ -40,8 +36,9 @@ def bundled_names() -> tuple[str, ...]:
 
 def _urdf_path(source: str | Path) -> Path:
     """Return the path of a bundled or given URDF; InputError if there is none."""
-    if isinstance(source, str) and source in bundled_names():
-        return bundled_path("instruments", source, f"{source}.urdf")
+    name = str(source).lower()
+    if isinstance(source, str) and name in bundled_names():
+        return bundled_path("instruments", name, f"{name}.urdf")
     path = Path(source)
     if path.is_file():
         return path
@@ -56,8 +53,6 @@ def load_instrument(
     *,
     package_paths: Mapping[str, str | Path] = MappingProxyType({}),
     root_link: str | None = None,
-    shaft_radius: float | None = None,
-    shaft_axis: tuple[ArrayLike, ArrayLike] | None = None,
     use_cache: bool = False,
 ) -> Instrument:
     """Load a bundled instrument or one described by a URDF.
@@ -71,10 +66,6 @@ def load_instrument(
         and its parents.
     root_link
         Link whose pose is estimated, with the shaft on it or below it; ``roll_link`` by default.
-    shaft_radius
-        Shaft radius, m, to use instead of the one measured on the mesh.
-    shaft_axis
-        Point (3,), m, and distal direction (3,) in the root link's frame, to use instead of the measured axis.
     use_cache
         Read the instrument from the disk cache if it is there, otherwise write it (see `dvrk_cmaes.instrument.cache`),
         and do so with what is prepared of its meshes.
@@ -86,10 +77,8 @@ def load_instrument(
     """
     check_type("instrument", source, PATH, "a bundled instrument's name or the path of a URDF")
     path = _urdf_path(source)
-    axis = _checked_axis(shaft_axis)
     packages = sorted((name, str(folder)) for name, folder in package_paths.items())
-    axis_values = None if axis is None else [part.tolist() for part in axis]
-    cached = cache_file(path.absolute(), packages, root_link, shaft_radius, axis_values) if use_cache else None
+    cached = cache_file(path.absolute(), packages, root_link) if use_cache else None
     folders = {name: Path(folder) for name, folder in package_paths.items()}
     if cached is not None and (instrument := read_cached(cached, path, folders)) is not None:
         return instrument
@@ -114,23 +103,9 @@ def load_instrument(
     links = tuple(Link(name, *geometry[name]) for name in members if name in geometry)
     of_links = tuple(parent_joint[link.name] for link in links)
     instrument = Instrument(str(robot.name), root, links, joint_names, limits, None, (), Chain(joints), of_links)
-    instrument = measure.with_measurements(instrument, radius=shaft_radius, axis=axis)
+    instrument = measure.with_measurements(instrument)
     if cached is not None:
         shapes = [visual.geometry.mesh for name in members for visual in visuals[name] if visual.geometry.mesh]
         places = {mesh.filename: find_mesh(mesh.filename, path, folders, str(path)) for mesh in shapes}
         write_cached(cached, instrument, path, places)
     return instrument
-
-
-def _checked_axis(axis: tuple[ArrayLike, ArrayLike] | None) -> tuple[Float64, Float64] | None:
-    """Check an axis and return its point nearest to the origin and its unit direction; None for None."""
-    if axis is None:
-        return None
-    point, direction = (np.asarray(part, dtype=np.float64) for part in axis)
-    if point.shape != (3,) or direction.shape != (3,) or not np.isfinite([point, direction]).all():
-        raise InputError("shaft_axis: expected a point (3 finite numbers, m) and a direction (3 finite numbers)")
-    length = float(np.linalg.norm(direction))
-    if length == 0.0:
-        raise InputError("shaft_axis: expected a direction of non-zero length, got (0, 0, 0)")
-    direction = direction / length
-    return point - (point @ direction) * direction, direction

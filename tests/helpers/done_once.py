@@ -77,14 +77,12 @@ def _unused(options: ArgumentCollection) -> ArgumentCollection:
 
 def _instruments_measured_once(patch: pytest.MonkeyPatch) -> None:
     with_measurements = measure.with_measurements
-    known: dict[tuple[str, str], Instrument] = {}
+    known: dict[str, Instrument] = {}
 
-    def measured(
-        instrument: Instrument, *, radius: float | None = None, axis: measure.Axis | None = None
-    ) -> Instrument:
-        key = instrument_digest(instrument), repr((radius, axis))
+    def measured(instrument: Instrument) -> Instrument:
+        key = instrument_digest(instrument)
         if key not in known:
-            known[key] = with_measurements(instrument, radius=radius, axis=axis)
+            known[key] = with_measurements(instrument)
         one = known[key]
         return replace(instrument, shaft=one.shaft, jaw_tips=one.jaw_tips, has_twin=one.has_twin)
 

@@ -85,25 +85,8 @@ def test_oblique_axis_is_found_and_points_to_wrist(tmp_path: Path) -> None:
         assert shaft.length == pytest.approx(0.3, rel=0.06)  # the flange covers part of a tilted shaft
 
 
-def test_radius_and_axis_may_be_given(small: Path) -> None:
-    measured, wider = shaft_of(small), shaft_of(small, shaft_radius=0.005)
-    assert wider.radius == 0.005
-    assert wider.proximal_end == measured.proximal_end
-    given_axis = shaft_of(small, shaft_axis=([0.0001, 0, 0.7], [0, 0, 2]))
-    np.testing.assert_array_equal(given_axis.point, [0.0001, 0, 0])
-    np.testing.assert_array_equal(given_axis.direction, [0, 0, 1])
-    assert given_axis.radius == pytest.approx(measured.radius, rel=1e-6)
-    assert given_axis.distal_end == pytest.approx(measured.distal_end, abs=1e-6)
-
-
-def test_missing_shaft_requires_radius_and_axis(small: Path) -> None:
+def test_a_link_without_a_straight_cylinder_has_no_shaft(small: Path) -> None:
     assert load_instrument(small, root_link="wrist_pitch_link").shaft is None
-    with pytest.raises(InputError, match="give shaft_axis too"):
-        load_instrument(small, root_link="wrist_pitch_link", shaft_radius=0.004)
-    with pytest.raises(InputError, match="give shaft_radius too"):
-        load_instrument(small, root_link="wrist_pitch_link", shaft_axis=([0, 0, 0], [1, 0, 0]))
-    shaft = shaft_of(small, root_link="wrist_pitch_link", shaft_radius=0.004, shaft_axis=([0, 0, 0], [1, 0, 0]))
-    assert (shaft.proximal_end, shaft.distal_end) == pytest.approx((0.0, 0.009))
 
 
 def test_shaft_is_found_from_root_above_roll_joint(tmp_path: Path) -> None:
