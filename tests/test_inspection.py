@@ -151,7 +151,7 @@ def test_session_is_summarised_with_unusable_frames(tmp_path: Path) -> None:
 
 def test_published_layout_needs_a_camera(tmp_path: Path) -> None:
     write_image(tmp_path / "0" / "frame0026.png", np.dstack([MASK] * 3))
-    assert "expected a camera file with the frames (--camera FILE)" in message(tmp_path)
+    assert "no such file; expected a camera file (--camera FILE)" in message(tmp_path)
     found = inspect_path(tmp_path, Options(camera=DEMO / "camera.yaml"))
     assert found.read["frames"] == ["0026"]
     assert "its layout is found by looking" in found.notes

@@ -167,7 +167,7 @@ def export(
     from dvrk_cmaes.cli.session_tools import output_folder
     from dvrk_cmaes.export.cartesian_pose import read_cartesian_pose
     from dvrk_cmaes.export.frames import FrameNames
-    from dvrk_cmaes.export.request import ExportRequest, FormatOptions
+    from dvrk_cmaes.export.request import ExportRequest
     from dvrk_cmaes.export.request import export as exported_files
     from dvrk_cmaes.export.source import read_source
     from dvrk_cmaes.io.atomic import json_text
@@ -181,8 +181,8 @@ def export(
     pose = None if chosen.ecm_pose is None else read_cartesian_pose(chosen.ecm_pose)
     source = read_source(results, frame)
     times = bag.read_times(source.results)
-    options = FormatOptions(chosen.scene, chosen.object_id, chosen.dvrk_version, pose, times, bag.read_tip())
-    exported = exported_files(ExportRequest(source, chosen.to, names, options))
+    taken = chosen.scene, chosen.object_id, chosen.dvrk_version, pose, times, bag.read_tip()
+    exported = exported_files(ExportRequest(source, chosen.to, names, *taken))
     written = []
     if chosen.to != "tf" or out is not None:
         with (

@@ -52,6 +52,5 @@ def _numbered(frames: Sequence[str]) -> bool:
 
 def exported(request: ExportRequest) -> Exported:
     """Export the poses of frames; InputError if there are no frames."""
-    results, options = request.source.poses(), request.options
-    texts = bop_files(results, scene=options.scene, obj=options.obj)
+    texts = bop_files(request.source.poses(), scene=request.scene, obj=request.obj)
     return Exported.of_texts(texts, left_out=request.source.without_pose)

@@ -85,12 +85,12 @@ def _entry(transform: Float64, camera: str, keys: tuple[str, str]) -> dict[str, 
 
 def exported(request: ExportRequest) -> Exported:
     """Export ``camera_from_base``; InputError if the source has none."""
-    base, options = request.source.base(), request.options
+    base = request.source.base()
     texts = registration_files(
         base.camera_from_base,
         request.names,
-        version=options.dvrk_version,
-        ecm_pose=options.ecm_pose,
+        version=request.dvrk_version,
+        ecm_pose=request.ecm_pose,
         ecm_from_base=base.ecm_from_base,
         others=base.others,
     )

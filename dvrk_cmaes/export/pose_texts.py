@@ -29,7 +29,7 @@ def exported(request: ExportRequest) -> Exported:
     if request.to == "csv":
         return Exported.of_texts({"poses.csv": table_text(pose_rows(request.source.poses()))})
     results = [result for result in request.source.poses() if result.camera_from_root is not None]
-    times, notes = times_or_rows(results, request.options.times)
+    times, notes = times_or_rows(results, request.times)
     text = ""
     for result in sorted(results, key=lambda result: times[result.frame]):
         assert result.camera_from_root is not None

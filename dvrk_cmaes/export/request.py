@@ -18,11 +18,13 @@ DvrkVersion = Literal["2.4", "2.3"]
 
 
 @dataclass(frozen=True, eq=False)
-class FormatOptions:
-    """Options of single formats.
+class ExportRequest:
+    """The results to export, the name of the format, names of frames, and what single formats take.
 
     Parameters
     ----------
+    source, to, names
+        The results, the format and the names of frames.
     scene, obj
         The ids in the format bop.
     dvrk_version
@@ -35,22 +37,15 @@ class FormatOptions:
         In these formats, the tool tip frame of ``measured_cp``.
     """
 
+    source: ExportSource
+    to: str
+    names: FrameNames
     scene: int = 0
     obj: int = 1
     dvrk_version: DvrkVersion = "2.4"
     ecm_pose: Float64 | None = None
     times: Mapping[str, int] = field(default_factory=dict)
     tip: ToolTip = field(default_factory=ToolTip)
-
-
-@dataclass(frozen=True, eq=False)
-class ExportRequest:
-    """The results to export, the name of the format, names of frames, and options."""
-
-    source: ExportSource
-    to: str
-    names: FrameNames
-    options: FormatOptions = field(default_factory=FormatOptions)
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,7 @@ def exported(request: ExportRequest) -> Exported:
     notes: list[str] = []
     if base is None:
         notes.append("camera_from_base is not known: no measured_cp by the readings, and no base in tf")
-    times, unknown = times_or_rows(results, request.options.times)
+    times, unknown = times_or_rows(results, request.times)
     notes += unknown
-    messages = result_messages(posed, times, names, base, request.options.tip)
+    messages = result_messages(posed, times, names, base, request.tip)
     return Exported(bag_files(messages, cast(BagKind, request.to), names.arm), base, source.without_pose, tuple(notes))

@@ -224,25 +224,13 @@ def read_session(
     if fit.crop is not None:
         frames = tuple(frame.changed(crop=fit.crop) for frame in frames)
     stereo = _is_stereo(root, mask_folder)
-    without_file = camera is None and not stereo and not os.path.lexists(_camera_file(root))
-    guessed = guess is not None and (guess.focal_px is not None or without_file)
-    _check_cameras(root, camera, camera_right, stereo=stereo, guessed=guessed, plain=notes[0] == "a session folder")
+    lens, guessed = _read_cameras(root, frames[0], camera, camera_right, rectified, side, guess, stereo=stereo)
     if stereo:
-        lens = fit.lens(_read_eyes(root, camera, camera_right, rectified, frames[0]), frames[0])
         notes = ("a session folder of two views", *notes[1:])
-    else:
-        if guess is not None and guessed:
-            lens = guess.file(frame_size(frames[0]))
-        else:
-            path = camera or _camera_file(root)
-            check_own(root, [path])
-            if without_file:
-                raise InputError(f"{path}: no such file; expected a camera file (--camera FILE); {UNCALIBRATED}")
-            lens = read_camera_file(path, rectified=rectified, side=side, size=lambda: frame_size(frames[0]))
-        if video is not None and (film := frames[0].video) is not None:
-            window = film.video.window(lens.camera, None, side)
-            frames = tuple(replace(own, video=own.video and replace(own.video, window=window)) for own in frames)
-        lens = fit.lens(lens, frames[0])
+    elif video is not None and (film := frames[0].video) is not None:
+        window = film.video.window(lens.camera, None, side)
+        frames = tuple(replace(own, video=own.video and replace(own.video, window=window)) for own in frames)
+    lens = fit.lens(lens, frames[0])
     golden = root / "golden.json"
     check_own(root, [golden])
     return Session(
@@ -257,30 +245,40 @@ def read_session(
     )
 
 
-def _check_cameras(
-    root: Path, camera: Path | None, right: Path | None, *, stereo: bool, guessed: bool, plain: bool
-) -> None:
-    """Raise an InputError for camera files that a session, which is of the ``plain`` layout or not, cannot have."""
-    if right is not None and not stereo:
+def _read_cameras(
+    root: Path,
+    frame: FrameFiles,
+    camera: Path | None,
+    right: Path | None,
+    rectified: bool,
+    side: Side,
+    guess: CameraGuess | None,
+    *,
+    stereo: bool,
+) -> tuple[CameraFile, bool]:
+    """Read the camera files of a session with a first frame, of one view or two; also returns whether it is a guess."""
+    path = camera or _camera_file(root)
+    missing = camera is None and not os.path.lexists(path)
+    if stereo:
+        if guess is not None and guess.focal_px is not None:
+            raise InputError(
+                f"{root}: expected the camera files of both eyes (--camera FILE), which are not guessed, got none"
+            )
+        if camera is None and right is None and os.path.lexists(root / "left.yaml"):
+            path, right = root / "left.yaml", root / "right.yaml"
+        check_own(root, (path, right))
+        first = frame if frame.mask or frame.image else frame.others[_VIEWS[1]]
+        return read_rig(path, right, rectified=rectified, size=lambda: frame_size(first)), False
+    if right is not None:
         raise InputError(
             f"{root}: expected a stereo session (masks/left) with a right camera, got one of a single view"
         )
-    if guessed and stereo:
-        raise InputError(
-            f"{root}: expected the camera files of both eyes (--camera FILE), which are not guessed, got none"
-        )
-    if not plain and camera is None and not stereo and not guessed and not (root / "camera.yaml").exists():
-        raise InputError(f"{root}: expected a camera file with the frames (--camera FILE), got none; {UNCALIBRATED}")
-
-
-def _read_eyes(root: Path, left: Path | None, right: Path | None, rectified: bool, frame: FrameFiles) -> CameraFile:
-    """Read the camera files of a folder with two views of each frame."""
-    if left is None and right is None and os.path.lexists(root / "left.yaml"):
-        left, right = root / "left.yaml", root / "right.yaml"
-    first = frame if frame.mask or frame.image else frame.others[_VIEWS[1]]
-    left = left or _camera_file(root)
-    check_own(root, (left, right))
-    return read_rig(left, right, rectified=rectified, size=lambda: frame_size(first))
+    if guess is not None and (guess.focal_px is not None or missing):
+        return guess.file(frame_size(frame)), True
+    check_own(root, [path])
+    if missing:
+        raise InputError(f"{path}: no such file; expected a camera file (--camera FILE); {UNCALIBRATED}")
+    return read_camera_file(path, rectified=rectified, side=side, size=lambda: frame_size(frame)), False
 
 
 def _camera_file(root: Path) -> Path:

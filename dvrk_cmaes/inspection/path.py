@@ -252,8 +252,6 @@ def _inspect_joints(path: Path, options: Options) -> Finding:
         if not np.isnan(column).all()
     }
     lines = [f"{file.kind}: {counted(count, 'row')}", *(_range_text(name, *pair) for name, pair in ranges.items())]
-    if without_readings := [name for name in file.joints if name not in ranges]:
-        lines.append(f"no reading of {', '.join(without_readings)}")
     notes = list(file.notes)
     span = (min(times), max(times)) if times else None
     if span is not None:

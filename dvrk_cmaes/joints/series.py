@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -88,15 +88,10 @@ class ReadingSeries:
         tolerance
             (J,), rad (insertion: m).
         """
-        for name, most in zip(names, tolerance, strict=True):
-            values = self.values.get(name, np.zeros(0))
-            if len(values) < 3:
-                continue
-            deviation = float(np.median(np.abs(values[1:-1] - (values[:-2] + values[2:]) / 2)))
-            change = float(np.median(np.abs(values[2:] - values[:-2])))
-            if deviation > max(most, change / 3):
-                return False
-        return True
+        return all(
+            np.median(deviations) <= max(most, np.median(changes) / 3)
+            for most, deviations, changes in self._changes(names, tolerance)
+        )
 
     def jumps(self, names: Sequence[str], tolerance: Float64) -> bool:
         """Whether the readings of one of J joints jump from row to row, as those of postures, which are no recording.
@@ -111,15 +106,17 @@ class ReadingSeries:
         tolerance
             (J,), rad (insertion: m), of the mean deviation of a row from the mean of its neighbours.
         """
+        return any(
+            deviations.mean() > most and deviations.sum() > _LARGEST_JUMPS * changes.sum()
+            for most, deviations, changes in self._changes(names, tolerance)
+        )
+
+    def _changes(self, names: Sequence[str], tolerance: Float64) -> Iterator[tuple[float, Float64, Float64]]:
+        """Yield the tolerance, deviations from the neighbours' means, and changes, of joints of three rows or more."""
         for name, most in zip(names, tolerance, strict=True):
             values = self.values.get(name, np.zeros(0))
-            if len(values) < 3:
-                continue
-            deviations = np.abs(values[1:-1] - (values[:-2] + values[2:]) / 2)
-            changes = np.abs(values[2:] - values[:-2])
-            if deviations.mean() > most and deviations.sum() > _LARGEST_JUMPS * changes.sum():
-                return True
-        return False
+            if len(values) >= 3:
+                yield most, np.abs(values[1:-1] - (values[:-2] + values[2:]) / 2), np.abs(values[2:] - values[:-2])
 
     def spacing(self, name: str) -> float | None:
         """Return the time between consecutive readings of a joint; None if it varies by more than a thousandth.

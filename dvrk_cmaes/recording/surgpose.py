@@ -21,6 +21,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
+from itertools import count, takewhile
 from pathlib import Path
 from typing import Any, Final
 
@@ -63,11 +64,7 @@ def arm_labels(path: Path, rows: Mapping[int, Any], arm: str) -> Labels:
     """
     own = _NUMBERS.get(arm, range(0))
     labels: Labels = {}
-    for frame, row in rows.items():
-        if row is None:
-            continue
-        if not isinstance(row, Mapping):
-            raise InputError(f"{path}: frame {frame}: expected points by number, got {shown(row)}")
+    for frame, row in _given(path, rows, "points by number"):
         for name, value in row.items():
             number = as_number(name)
             if number is None or number not in _ALL:
@@ -82,11 +79,7 @@ def arm_labels(path: Path, rows: Mapping[int, Any], arm: str) -> Labels:
 def arm_boxes(path: Path, rows: Mapping[int, Any], labels: Labels) -> dict[int, Box]:
     """Return the box with most of an arm's labels in each frame that has one; errors as in ``arm_labels``."""
     boxes: dict[int, Box] = {}
-    for frame, row in rows.items():
-        if row is None:
-            continue
-        if not isinstance(row, Mapping):
-            raise InputError(f"{path}: frame {frame}: expected boxes by id, got {shown(row)}")
+    for frame, row in _given(path, rows, "boxes by id"):
         points = np.array(list(labels.get(frame, {}).values())).reshape(-1, 2)
         most = 0
         for name, value in row.items():
@@ -98,6 +91,15 @@ def arm_boxes(path: Path, rows: Mapping[int, Any], labels: Labels) -> dict[int, 
             if width > 0 and height > 0 and inside > most:
                 most, boxes[frame] = inside, (x, y, x + width, y + height)
     return boxes
+
+
+def _given(path: Path, rows: Mapping[int, Any], expected: str) -> Iterator[tuple[int, Mapping[Any, Any]]]:
+    """Yield the frames that have something, with what they have by name; InputError otherwise."""
+    for frame, row in rows.items():
+        if row is not None and not isinstance(row, Mapping):
+            raise InputError(f"{path}: frame {frame}: expected {expected}, got {shown(row)}")
+        if row is not None:
+            yield frame, row
 
 
 def _numbers(where: str, value: Any, count: int, expected: str) -> list[float]:
@@ -167,7 +169,10 @@ def open_surgpose(path: Path, asked: Asked) -> Iterator[Recording]:
         ]
         if asked.joints is None and total > 0 and total != len(rows):
             notes.append(f"{_READINGS} has {len(rows)} frames, the video {total}")
-        images = _images(video, capture)
+        images = (
+            RecordedImage(number, _time(number), partial(decoded_frame, video, capture, number))
+            for number in takewhile(lambda _: capture.grab(), count())
+        )
         yield Recording(path, images, total if total > 0 else None, lens, {"": readings}, tuple(notes), kept)
 
 
@@ -254,15 +259,6 @@ def _labels(path: Path, side: Side, arm: str) -> tuple[dict[str, bytes], list[st
         kept["boxes.csv"] = csv_text(("frame", "x0", "y0", "x1", "y1"), boxes).encode()
         notes.append(f"boxes of {arm}: {file.name}, in {len(boxes)} frames that which has most of its labels")
     return kept, notes
-
-
-def _images(path: Path, capture: Any) -> Iterator[RecordedImage]:
-    """Yield the frames of a video."""
-    number = 0
-    while capture.grab():
-        load = partial(decoded_frame, path, capture, number)
-        yield RecordedImage(number, _time(number), load)
-        number += 1
 
 
 def _time(number: int) -> int:

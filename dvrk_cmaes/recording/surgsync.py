@@ -28,7 +28,7 @@ it), so that a field is searched for by its name, at the outermost level first.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
@@ -89,39 +89,32 @@ def read_times(path: Path, side: Side, arm: str | None) -> FrameTimes:
     )
 
 
-def read_positions(path: Path) -> dict[str, float]:
+def read_positions(path: Path, joints: tuple[str, ...] = ()) -> dict[str, float]:
     """Read ``kinematic/ARM/N.json``: the positions of the arm's joints and, where it is stated, of its jaw, rad or m.
+
+    ``joints`` are those of an arm without a jaw, as the endoscope's; without any, their number says which they are.
 
     Raises
     ------
     InputError
         The file is not readable, or has no measured_js, or one of another number of joints, or a wrong number.
     """
-    where, (document, values) = str(path), _measured(path)
+    where, document = str(path), read_json(path, expected=_KINEMATICS)
+    measured = _field(document, "measured_data") or document
+    values = _position(_field(measured, "measured_js") or _field(measured, "js"))
     if values is None:
         raise InputError(f"{path}: measured_js: expected an object with position, a list of numbers, got none")
-    cells = dict(zip(joints_by_count(f"{where}: measured_js", len(values)), values, strict=True))
+    if joints and len(values) != len(joints):
+        raise InputError(
+            f"{path}: measured_js: expected the positions of {', '.join(joints)}, got {len(values)} of them"
+        )
+    names = joints or joints_by_count(f"{where}: measured_js", len(values))
+    cells = dict(zip(names, values, strict=True))
     jaw = _field(document, "jaw")
     opening = _position(_field(jaw, "measured_data") or _field(jaw, "measured_js") or jaw)
-    if opening:
+    if opening and not joints:
         cells["jaw"] = opening[0]
     return {name: joint_reading(where, name, cell) for name, cell in cells.items()}
-
-
-def read_ecm(path: Path) -> dict[str, float]:
-    """Read ``kinematic/ECM/N.json``: the joints of the endoscope's arm, rad or m; errors as `read_positions`."""
-    _, values = _measured(path)
-    if values is None or len(values) != len(ECM_JOINTS):
-        got = "none" if values is None else f"{len(values)} of them"
-        raise InputError(f"{path}: measured_js: expected the positions of {', '.join(ECM_JOINTS)}, got {got}")
-    return {name: joint_reading(str(path), name, cell) for name, cell in zip(ECM_JOINTS, values, strict=True)}
-
-
-def _measured(path: Path) -> tuple[Any, list[Any] | None]:
-    """Read the readings of an arm: the document, and the measured positions in it; None without any."""
-    document = read_json(path, expected=_KINEMATICS)
-    measured = _field(document, "measured_data") or document
-    return document, _position(_field(measured, "measured_js") or _field(measured, "js"))
 
 
 def _field(document: Any, name: str) -> Any:
@@ -347,12 +340,12 @@ def open_surgsync(path: Path, asked: Asked) -> Iterator[Recording]:
     notes += said
     if chosen is not None:
         of_images = {number: frame.image for number, frame in times.items()}
-        readings = _readings_of_clip(path / "kinematic" / chosen, read_positions, of_images, times)
+        readings = _readings_of_clip(path / "kinematic" / chosen, of_images, times)
         notes += [f"{' '.join(series.joints)}: kinematic/{chosen}" for series in readings]
         if (folder := path / "kinematic" / ECM).is_dir() and chosen != ECM:
             try:
                 of_ecm = {number: read_times(path / "time_syn" / f"{number}.json", side, ECM) for number in images}
-                readings = (*readings, *_readings_of_clip(folder, read_ecm, of_images, of_ecm))
+                readings = (*readings, *_readings_of_clip(folder, of_images, of_ecm, ECM_JOINTS))
                 notes.append(f"{' '.join(ECM_JOINTS)}: kinematic/{ECM}")
             except InputError as error:
                 notes.append(f"the endoscope's arm is not read: {error}")
@@ -416,10 +409,10 @@ def chosen_arm(path: Path, arms: Sequence[str], arm: str | None, what: str) -> s
 
 
 def _readings_of_clip(
-    folder: Path, read: Callable[[Path], dict[str, float]], images: Mapping[int, int], times: Mapping[int, FrameTimes]
+    folder: Path, images: Mapping[int, int], times: Mapping[int, FrameTimes], joints: tuple[str, ...] = ()
 ) -> tuple[TimedReadings, ...]:
     """Read the readings of an arm in all frames, at the images' times, ns: those of its joints and those of the jaw."""
-    rows = {number: read(file) for number in images if (file := folder / f"{number}.json").is_file()}
+    rows = {number: read_positions(file, joints) for number in images if (file := folder / f"{number}.json").is_file()}
     if not rows:
         raise InputError(f"{folder}: expected readings N.json of the images' numbers, got none")
     of_arm = {number: times[number].arm or image for number, image in images.items()}

@@ -13,7 +13,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
-from itertools import chain, count
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -289,9 +289,8 @@ def _interpolate(
     path: Path, readings: Sequence[TimedReadings], times: Sequence[int], tolerance: int
 ) -> tuple[list[list[str]], tuple[str, ...], tuple[InterpolationSummary, ...]]:
     """Interpolate all readings; return the cells of each frame, the column names and a summary for each source."""
-    columns: list[str] = []
-    parts: list[list[list[str]]] = []
-    summaries = []
+    at, gaps = np.array(times, dtype=np.int64), known_where(away=tolerance)
+    columns, parts, summaries = list[str](), [np.empty((len(times), 0))], []
     for source in readings:
         repeated = [name for name in source.joints if name in columns]
         if repeated:
@@ -299,12 +298,15 @@ def _interpolate(
                 f"{path}: {source.source}: {', '.join(repeated)}: expected joints that were not read before "
                 "(leave a topic out by --jaw-topic none)"
             )
-        cells, summary = _interpolate_source(source, times, tolerance)
-        if summary.frames == 0 and source.joints == ECM_JOINTS:  # the endoscope's arm may have stopped publishing
-            summaries.append(summary)
+        nearest, farther = (each / NANOSECONDS for each in source.distances(at))
+        values = source.at(at, gaps, weighted_mean)
+        known = np.isfinite(values).any(axis=1)
+        used, missed = farther[known].tolist(), nearest[~known].tolist()
+        limits = max(used, default=None), min(missed, default=None)
+        summaries.append(InterpolationSummary(source.source, source.joints, len(used), len(missed), *limits))
+        if not used and source.joints == ECM_JOINTS:  # the endoscope's arm may have stopped publishing
             continue
-        columns += source.joints
-        if summary.frames == 0:
+        if not used:
             spans = [
                 f"{each[0] / NANOSECONDS:.3f} to {each[-1] / NANOSECONDS:.3f} s" if len(each) else "none"
                 for each in (source.times.tolist(), sorted(times))
@@ -314,27 +316,7 @@ def _interpolate(
                 f"image, got readings of {spans[0]} and images of {spans[1]}: give the time of a video's first "
                 "image on the readings' clock by --video-start, or a larger --tolerance"
             )
-        parts.append(cells)
-        summaries.append(summary)
-    table = [list(chain.from_iterable(part[k] for part in parts)) for k in range(len(times))]
+        columns += source.joints
+        parts.append(values)
+    table = [["" if math.isnan(value) else f"{value:.9f}" for value in row] for row in np.hstack(parts).tolist()]
     return table, tuple(columns), tuple(summaries)
-
-
-def _interpolate_source(
-    source: TimedReadings, times: Sequence[int], tolerance: int
-) -> tuple[list[list[str]], InterpolationSummary]:
-    """Interpolate the readings of one source at times, ns; return the cells of each time and a summary."""
-    at, gaps = np.array(times, dtype=np.int64), known_where(away=tolerance)
-    nearest, farther = source.distances(at)
-    values = source.at(at, gaps, weighted_mean)
-    known = np.isfinite(values).any(axis=1)
-    used, missed = farther[known].tolist(), nearest[~known].tolist()
-    cells = [["" if math.isnan(value) else f"{value:.9f}" for value in row] for row in values.tolist()]
-    return cells, InterpolationSummary(
-        source=source.source,
-        joints=source.joints,
-        frames=len(used),
-        without=len(missed),
-        farthest_s=max(used) / NANOSECONDS if used else None,
-        nearest_s=min(missed) / NANOSECONDS if missed else None,
-    )

@@ -56,7 +56,9 @@ def test_published_layout_requires_camera(tmp_path: Path) -> None:
     published(tmp_path, "0", 26, [0.0] * 6)
     with pytest.raises(InputError) as caught:
         read_session(tmp_path)
-    assert str(caught.value).startswith(f"{tmp_path}: expected a camera file with the frames (--camera FILE), got ")
+    assert str(caught.value).startswith(
+        f"{tmp_path}/camera.yaml: no such file; expected a camera file (--camera FILE); "
+    )
 
 
 def test_damaged_reading_affects_its_frame_only(tmp_path: Path) -> None:
