@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -208,20 +208,6 @@ class LiveOutput:
     overlay: Flag = False
     seconds: float = math.inf
 
-    @contextmanager
-    def folder(self, arm: str, arms: Sequence[str]) -> Iterator[Path | None]:
-        """Yield the opened folder of one of the arms; None without --out."""
-        from dvrk_cmaes.io.output import output
-        from dvrk_cmaes.results.folder import SESSION
-
-        if self.out is None:
-            yield None
-            return
-        folder = self.out / arm if len(arms) > 1 else self.out
-        with output(folder, "live") as opened:
-            opened.refuse((SESSION,))
-            yield folder
-
 
 DEFAULT_TOPICS, DEFAULT_SERVER = LiveTopics(), ServerOptions()
 DEFAULT_LIVE_CAMERA, DEFAULT_OUTPUT = LiveCameraOptions(), LiveOutput()
@@ -306,15 +292,14 @@ def _described(
     from dvrk_cmaes.export.frames import FrameNames
     from dvrk_cmaes.io.output import output as folder_of_command
     from dvrk_cmaes.live.follow import ArmSetup, LiveSetup
+    from dvrk_cmaes.results.folder import SESSION
     from dvrk_cmaes.runs.live_session import earlier_calibration, save_calibration
     from dvrk_cmaes.runs.pool import serving_process
     from dvrk_cmaes.runs.solver_process import SolverProcess
 
-    given = calibrated.calibration
     if len(set(topics.psm)) < len(topics.psm):
         raise InputError(f"--psm: expected different arms, got {', '.join(topics.psm)}")
-    if len(topics.psm) > 1 and given is not None and not all((given / arm).is_dir() for arm in topics.psm):
-        raise InputError(f"--session: expected a folder with a session.json for each arm, got {given}")
+    calibrated.check_for(topics.psm)
     inputs = topics.of_arms(topics.psm)
     names = {arm: FrameNames(arm, topics.camera_frame, f"{arm}_base") for arm in topics.psm}
     for of_arm in names.values():
@@ -327,7 +312,9 @@ def _described(
         stack.enter_context(folder_of_command(output.out, "live"))
     for arm in topics.psm:
         known = calibrated.read(body, instrument.arm, arm)
-        folder = stack.enter_context(output.folder(arm, topics.psm))
+        folder = None if output.out is None else output.out / (arm if len(topics.psm) > 1 else "")
+        if folder is not None:
+            stack.enter_context(folder_of_command(folder, "live")).refuse((SESSION,))
         earlier = None if folder is None else earlier_calibration(folder, body.instrument, instrument.kinematics)
         solver = partial(SolverProcess, body.instrument, background=True)
         save = None if folder is None else partial(save_calibration, folder)

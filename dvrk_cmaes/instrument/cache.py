@@ -24,7 +24,7 @@ from dvrk_cmaes.instrument.model import Instrument
 from dvrk_cmaes.io.array_file import UNUSABLE, read_arrays, write_arrays
 from dvrk_cmaes.io.bundled import cache_folder
 from dvrk_cmaes.io.files import file_digest
-from dvrk_cmaes.io.prepared_type import prepared
+from dvrk_cmaes.io.typed_document import prepared
 
 _FORMAT = 5
 

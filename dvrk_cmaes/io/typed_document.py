@@ -7,6 +7,7 @@ not express: finite numbers, counts, and arrays of a fixed shape. Fields that a 
 from __future__ import annotations
 
 import sys
+import threading
 from abc import ABCMeta
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,13 +16,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union, get_a
 
 import numpy as np
 from msgspec import Meta, ValidationError, convert
+from msgspec.json import Decoder
 
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.io.prepared_type import prepared
 from dvrk_cmaes.io.short_text import shown
 
 T = TypeVar("T")
+
+_preparing = threading.Lock()
+_prepared: set[Any] = set()
 
 _MAX = sys.float_info.max
 _LARGEST = 1e12  # of the numbers of an array; products of larger ones overflow
@@ -62,6 +66,18 @@ else:
     Pixel = _array_type(2)
     SquareOfThree = _array_type(3, 3)
     SquareOfSix = _array_type(6, 6)
+
+
+def prepared(kind: type[T]) -> type[T]:
+    """Return a class whose fields msgspec knows, so that threads can use it.
+
+    msgspec 0.22 crashes the process if two threads let it look up the fields of the same class at the same time.
+    """
+    if kind not in _prepared:
+        with _preparing:
+            Decoder(kind)
+            _prepared.add(kind)
+    return kind
 
 
 def convert_document(where: str, document: object, kind: type[T], expected: Mapping[Any, str] | None = None) -> T:

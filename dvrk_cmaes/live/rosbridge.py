@@ -19,7 +19,7 @@ from typing import Any, Final
 import msgspec
 
 from dvrk_cmaes.errors import InputError, one_line
-from dvrk_cmaes.io.prepared_type import prepared
+from dvrk_cmaes.io.typed_document import prepared
 from dvrk_cmaes.live.connection import LARGEST_IMAGE, LARGEST_MESSAGE, Connection, Receive, Report, too_large
 
 _LONGEST_WAIT: Final = 2.0  # s, between attempts to connect
