@@ -102,14 +102,15 @@ def _cmaes(
     while len(active) and (left := left - _POPULATION * len(active)) >= 0:
         drawn = np.array([[optimisers[k].ask() for _ in range(_POPULATION)] for k in active])
         values = loss(np.repeat(active, _POPULATION), drawn.reshape(-1, dimension)).reshape(-1, _POPULATION)
-        for k, candidates, of_candidates in zip(active, drawn, values, strict=True):
+        lowest = drawn[np.arange(len(active)), values.argmin(axis=1)], values.min(axis=1)
+        better = lowest[1] < losses[active]
+        best[active[better]], losses[active[better]] = lowest[0][better], lowest[1][better]
+        continuing = np.sort(np.argsort(losses[active], kind="stable")[: max(int(_CONTINUING * len(active)), 1)])
+        if left < _POPULATION * len(continuing):
+            break
+        for k, candidates, of_candidates in zip(active[continuing], drawn[continuing], values[continuing], strict=True):
             optimisers[k].tell(list(zip(candidates, of_candidates.tolist(), strict=True)))
-            lowest = int(np.argmin(of_candidates))
-            if of_candidates[lowest] < losses[k]:
-                best[k], losses[k] = candidates[lowest], of_candidates[lowest]
-        ranked = active[np.argsort(losses[active], kind="stable")]
-        active = np.sort(ranked[: max(int(_CONTINUING * len(active)), 1)])
-        active = active[[not optimisers[k].should_stop() for k in active]]
+        active = np.array([k for k in active[continuing] if not optimisers[k].should_stop()], dtype=np.intp)
     return [Found(*pair) for pair in zip(best, losses.tolist(), strict=True)]
 
 
