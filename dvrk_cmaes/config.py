@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 __version__ = "2.0.0"
@@ -27,6 +27,7 @@ class Limits:
 
 _SHARE, _SHARE_OR_ZERO = Limits(share=True).metadata, Limits(zero=True, share=True).metadata
 _MAY_BE_ZERO = Limits(zero=True).metadata
+_OF_FOUND_MASKS = 2.0  # least factor of `SessionConfig.shared_errors`
 _WIDTH = Limits(least=10, most=10_000).metadata
 
 
@@ -332,6 +333,9 @@ class SessionConfig:
     alike_seconds
         Time in which consecutive frames err alike, s, so that all of them count as one in base, offsets, camera and
         margin; 0 to count each. Keyframes, which are chosen far from each other, count each.
+    shared_errors
+        Factor on the standard deviations of what the frames tell of camera and lens, because they share errors of masks
+        and meshes; at least 2 where this program found the masks in images.
     test_camera
         Whether the frames test the camera file, which takes a quarter of the time. Keyframes of a recording that is
         followed as it comes do so only once as many as are kept have been solved.
@@ -358,6 +362,7 @@ class SessionConfig:
     cables: bool = True
     shadows: bool = False
     alike_seconds: float = field(default=0.5, metadata=_MAY_BE_ZERO)
+    shared_errors: float = 1.2
     test_camera: bool = True
 
 
@@ -427,6 +432,11 @@ class EstimateConfig:
     def as_dict(self) -> dict[str, Any]:
         """Return all settings as nested dictionaries."""
         return _as_dict(self)
+
+    def with_found_masks(self) -> EstimateConfig:
+        """Return the settings for a session whose masks this program found in images, which err more alike."""
+        shared = max(self.session.shared_errors, _OF_FOUND_MASKS)
+        return replace(self, session=replace(self.session, shared_errors=shared))
 
 
 def _as_dict(tree: Any) -> dict[str, Any]:

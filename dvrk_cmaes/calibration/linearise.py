@@ -29,12 +29,6 @@ from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.silhouette import Body, OutlinePoints
 
 _SETTLED = 0.25  # standard deviations of the blocks, below which the outlines are not linearised again
-SHARED_ERRORS = 1.2
-"""Factor on the standard deviations, because the frames of a session share errors of masks and meshes.
-
-In six synthetic sessions of 20 frames with the right camera (three of easy, three of medium masks) the mean squared
-distance of the estimate from the truth was 4.0 instead of 3, in its own standard deviations.
-"""
 NAMED = 2.5
 """Standard deviations from the value of a file, above which one of several unknowns is named."""
 _BASE_STD = 1.0, 1.0  # m and rad, of the base beforehand, some of which a session may not determine

@@ -19,7 +19,6 @@ import numpy as np
 from dvrk_cmaes.calibration.blocks import CLEAR, FoundBlock, OutlineOfView, SeenBlock, ViewAsSeen
 from dvrk_cmaes.calibration.linearise import (
     NAMED,
-    SHARED_ERRORS,
     ArmOutlines,
     Linearised,
     SessionOutlines,
@@ -98,7 +97,7 @@ class Lens(SeenBlock):
 
     def __init__(self, config: EstimateConfig, camera: Camera) -> None:
         super().__init__(LENS, np.sqrt(np.diag(file_covariance(camera, config.camera)))[_OF_LENS])
-        self.axes = ("aspect", "radial")
+        self.axes, self._shared = ("aspect", "radial"), config.session.shared_errors
 
     def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
         """Return a view with another aspect and radial coefficient."""
@@ -117,9 +116,9 @@ class Lens(SeenBlock):
 
     def stated(self, values: Float64, std: Float64) -> FoundBlock:
         """State both, and what the frames alone tell of them where that contradicts the file."""
-        own = std / SHARED_ERRORS
+        own = std / self._shared
         gained = np.maximum(own**-2 - self.std**-2, 1e-12)
-        alone, spread = values / own**2 / gained, SHARED_ERRORS / np.sqrt(gained)
+        alone, spread = values / own**2 / gained, self._shared / np.sqrt(gained)
         off = np.abs(alone) / np.hypot(spread, self.std)
         texts = [
             f"fy / fx {100 * alone[0]:+z.1f} % (std {100 * spread[0]:.1f}) off",
@@ -319,19 +318,20 @@ def estimate_camera(arms: Sequence[ArmOutlines], config: EstimateConfig, *, pass
 
 
 def _stated(
-    there: Linearised, blocks: Sequence[SeenBlock], known: Mapping[str, Float64]
+    there: Linearised, blocks: Sequence[SeenBlock], known: Mapping[str, Float64], shared: float
 ) -> tuple[dict[str, FoundBlock], Float64]:
     """State what is found of the blocks that state themselves.
 
-    ``known`` are standard deviations of the priors of other blocks, as of the camera. Also returns the mean square (K,
-    K) of the calibration's errors that their errors cause, which are not corrected.
+    ``known`` are standard deviations of the priors of other blocks, as of the camera, ``shared`` the factor of shared
+    errors. Also returns the mean square (K, K) of the calibration's errors that their errors cause, which are not
+    corrected.
     """
     calibration, count = there.solution.calibration, there.solution.calibration.own
     values, covariance = there.with_std(known)
     found, of_blocks = dict[str, FoundBlock](), np.zeros((count, count))
     for block in blocks:
         place = calibration.place(block.name)
-        spread = SHARED_ERRORS**2 * covariance[place, place]
+        spread = shared**2 * covariance[place, place]
         if (stated := block.stated(values[place], np.sqrt(np.diag(spread)))) is not None:
             found[block.name] = stated
             moves = -inverse_information(there.information[:count, :count]) @ there.information[:count, place]
@@ -383,8 +383,8 @@ def _checked(
             change, covariance = growth.values[own], growth.covariance[own, own]
             known = {**known, GROWTH: growth.std_px}
             shaft = SessionShaft.of(there, known)
-    blocks, of_blocks = _stated(there, outlines.blocks, known)
-    covariance = SHARED_ERRORS**2 * covariance
+    blocks, of_blocks = _stated(there, outlines.blocks, known, config.session.shared_errors)
+    covariance = config.session.shared_errors**2 * covariance
     change = change if applied is None else applied
     camera = SessionCamera.of(change, covariance, file, outlines.camera.width, applied=applied is not None)
     if far and not camera.contradicts:

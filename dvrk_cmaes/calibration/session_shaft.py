@@ -33,7 +33,7 @@ Right ones are found to 0.5 %, lengths to 1 % in recordings of `fleet.py make` a
 7704 (`scripts/measure.py track`, `calibrate`). Of 79 recordings of `fleet.py make` with the right instrument the shaft
 of one is beyond it (seeds 8605 to 8919), as its masks are 3 px too wide on one side.
 """
-_OTHER_SHARE, _OTHER_STD = 0.2, 10.0
+_OTHER_SHARE, _OTHER_STD = 0.3, 10.0
 """Share of instruments that are not those of the model, and their deviations of size in usual ones."""
 _TEXTS: Final = {
     "shaft": ("the shaft is", "thicker", "thinner"),

@@ -90,8 +90,7 @@ def test_every_pose_is_near_the_truth_and_within_its_stated_error(made: Recordin
     assert len(rows) == FRAMES - 2
     assert np.median(errors) < 1.0
     assert (errors / [row["std"]["tip_mm"] for row in rows]).max() < 3.5
-    # Masks of so few images do not exclude another camera: the stated error in metres is larger than that in the image.
-    assert {reason.partition(":")[0] for row in rows for reason in row["reasons"]} <= {"tips not accurate"}  # type: ignore[attr-defined]
+    assert sum(row["status"] == "ok" for row in rows) >= FRAMES // 2
 
 
 def test_images_that_do_not_show_the_instrument_are_not_ok_and_teach_nothing(made: Recording, tracks: Path) -> None:
