@@ -91,10 +91,10 @@ def begin_folder(
             )
         reader = functools.partial(read_frame, own, session.rig)
         frames.append(SessionFrame(name, reader, result, own.keypoints))
-    own = config.with_found_masks() if any(not each.has_mask for each in session.frames) else config
-    run = functools.partial(run_with_body, processes, instrument_digest(instrument), own)
+    used = config.with_found_masks() if any(not each.has_mask for each in session.frames) else config
+    run = functools.partial(run_with_body, processes, instrument_digest(instrument), used)
     series, refined = session.reading_series(), (refine_camera or session.guessed, session.guessed)
-    problem = ArmSetup(series, instrument, arm.kinematics, own, run, progress, *refined, lag=lag)
+    problem = ArmSetup(series, instrument, arm.kinematics, used, run, progress, *refined, lag=lag)
     return begin_arm(frames, problem).then(functools.partial(_written, arm, files, out, alone, config, progress, run))
 
 
