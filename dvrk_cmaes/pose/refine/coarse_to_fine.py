@@ -133,7 +133,9 @@ class LocalSearch:
         modes: Sequence[PoseCandidate] = best_per_mode(candidates, mirrored=self._instrument)
         if self._small > 1:
             refined = self._refine(self._coverage(self._small), modes, selection=_SMALL)
-            modes = _FULL.of(best_per_mode(refined, most=_AT_FULL, mirrored=self._instrument))
+            found = best_per_mode(refined, most=_AT_FULL, mirrored=self._instrument)
+            scores, of_outline = zip(*((fit.score, fit.outline_score) for fit in found), strict=True)
+            modes = [found[i] for i in _FULL.continuing(scores, of_outline, len(found))]
         finest = self._coverage(1)
         final = self._refine(finest, modes, iterations=_FULL_STEPS, selection=_FULL, continued=True)
         if self._instrument.has_twin:

@@ -2,27 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
-
-
-class Scored(Protocol):
-    """A fit with its negative log-likelihood, and the part of it that comes from the outline."""
-
-    @property
-    def score(self) -> float:
-        """Negative log-likelihood: lower is better."""
-
-    @property
-    def outline_score(self) -> float:
-        """The part of it that comes from the outline."""
-
-
-F = TypeVar("F", bound=Scored)
 
 _OF_OUTLINE = 1 / 3
 """Difference of the outline's score alone that keeps a pose, as a share of that of the whole score."""
@@ -50,11 +33,6 @@ class Selection:
         close = (whole <= whole.min() + self.gap) | (outline <= outline.min() + self.gap * _OF_OUTLINE)
         best = np.argsort(whole, kind="stable")[: max(round(left), self.least)]
         return [int(i) for place, i in enumerate(best) if place < self.least or close[i]]
-
-    def of(self, fits: Sequence[F]) -> list[F]:
-        """Return the fits that are close to the best of them, best first."""
-        chosen = self.continuing([fit.score for fit in fits], [fit.outline_score for fit in fits], len(fits))
-        return [fits[i] for i in chosen]
 
 
 ALL = Selection()

@@ -7,6 +7,7 @@ NLopt evaluates one candidate after another.
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import threading
 from collections.abc import Callable, Sequence
@@ -17,7 +18,6 @@ import numpy as np
 
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.geometry import Float64, Indices
-from dvrk_cmaes.pose.search.nlopt_run import run_nlopt
 
 NLOPT = {
     "crs2": "GN_CRS2_LM",
@@ -37,6 +37,10 @@ SEEDS = 2**32
 """Number of different seeds."""
 BOX = 3.0
 """Half the side of the box of NLopt's methods, in units of the expected error of a start."""
+_STEP, _LARGE = (
+    0.5,
+    1e12,
+)  # of NLopt's methods: first step, in the same units, and loss in place of one that is not finite
 _POPULATION = 10  # candidates of CMA-ES in a generation of a start
 _CONTINUING = 0.85  # share of the starts, the best ones, that have another generation
 _RUN = 20  # evaluations for each parameter of a run by NLopt, of which there are as many as the budget allows
@@ -74,12 +78,51 @@ def minimise_each(
         def of_start(candidates: Float64, start: int = start) -> Float64:
             return loss(np.full(len(candidates), start), candidates)
 
-        best, value, _ = run_nlopt(
-            NLOPT[method], of_start, np.zeros(dimension), BOX * np.ones(dimension), evaluations // runs, seed + start
-        )
-        if value < known[start]:
-            found[start] = Found(best, value)
+        best = _nlopt(NLOPT[method], of_start, dimension, evaluations // runs, seed + start)
+        if best.loss < known[start]:
+            found[start] = best
     return found
+
+
+def _nlopt(algorithm: str, loss: Callable[[Float64], Float64], dimension: int, evaluations: int, seed: int) -> Found:
+    """Minimise a loss of candidates (1, D) from 0 in the box, with a fixed number of evaluations.
+
+    An exception in the loss ends the run and is raised unchanged; NLopt would replace some exceptions by others.
+    """
+    import nlopt
+
+    nlopt.srand(seed + 1)  # per thread; a seed of 0 would use the current time
+    optimiser = nlopt.opt(getattr(nlopt, algorithm), dimension)
+    optimiser.set_lower_bounds([-BOX] * dimension)
+    optimiser.set_upper_bounds([BOX] * dimension)
+    optimiser.set_maxeval(evaluations)
+    optimiser.set_initial_step(_STEP)
+    best, count = Found(np.zeros(dimension), np.inf), 0
+    caught: list[BaseException] = []
+
+    def evaluate(x: Float64, _gradient: Float64) -> float:
+        nonlocal best, count
+        if caught or count >= evaluations:  # some algorithms check their limit only between iterations
+            optimiser.force_stop()
+            return _LARGE
+        point = np.array(x, dtype=np.float64)  # copied, because NLopt reuses the memory of x
+        try:
+            value = float(loss(point[None])[0])
+        except BaseException as error:
+            caught.append(error)
+            optimiser.force_stop()
+            return _LARGE
+        count += 1
+        if value < best.loss:
+            best = Found(point, value)
+        return value if np.isfinite(value) else _LARGE
+
+    optimiser.set_min_objective(evaluate)
+    with contextlib.suppress(nlopt.RoundoffLimited, nlopt.ForcedStop):  # the best point is recorded in evaluate
+        optimiser.optimize([0.0] * dimension)
+    if caught:
+        raise caught[0]
+    return best
 
 
 def _cmaes(
