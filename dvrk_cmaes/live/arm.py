@@ -30,15 +30,11 @@ OLD: Final = 1.0
 """Age, s, from which on a pose is doubtful."""
 MOST_FAILURES: Final = 3
 """Steps in a row that fail, after which a new tracker begins."""
-_SHARE: Final = 0.1  # of the latest step, in the usual time of a step
 _STATE_EVERY: Final = 1.0  # s without a result, after which the status says why
 
 
 class LiveTracker(Protocol):
     """Follows an instrument; times are in seconds, arrays by eye."""
-
-    elsewhere: bool
-    """Whether steps are done in another process."""
 
     @property
     def state(self) -> str:
@@ -63,8 +59,7 @@ class LiveTracker(Protocol):
 class LiveArm:
     """Follows an arm, and publishes what is found.
 
-    ``poses`` and ``ok`` count what was published, ``base_state`` says how far the arm's base is known, ``seconds`` is
-    the usual time of a step, and ``stepped`` is when the last one was, s.
+    ``poses`` and ``ok`` count what was published, ``base_state`` says how far the arm's base is known.
 
     Parameters
     ----------
@@ -97,7 +92,6 @@ class LiveArm:
     ) -> None:
         self.name, self.state, self.base_state = name, "waiting for the camera", ""
         self.poses = self.ok = self.published = 0
-        self.seconds, self.stepped = 0.0, 0.0
         self.draws = draw is not None
         self._make_tracker, self._make_drawing = make_tracker, draw
         self._outputs, self._report, self._now = outputs, report, now
@@ -126,14 +120,9 @@ class LiveArm:
 
     def start(self, frame: LiveFrame, arrays: Decoded) -> None:
         """Begin to follow a frame."""
-        self._began, self._frame, self._arrays = self._now(), frame, arrays
+        self._frame, self._arrays = frame, arrays
         masks, ignored = arrays.masks.get(self.name), arrays.ignored(self.name)
         self._result = self._tracker.start_step(self._seconds, masks, arrays.images or None, ignored or None)
-
-    @property
-    def runs(self) -> bool:
-        """Whether the step that was started goes on elsewhere."""
-        return self._tracker.elsewhere
 
     @property
     def _seconds(self) -> float:
@@ -153,8 +142,6 @@ class LiveArm:
             return False, False
         except Exception as error:
             return False, self._fail(error)
-        self.stepped = self._now()
-        self.seconds += _SHARE * (self.stepped - self._began - self.seconds)
         self._failures = 0
         return True, False
 

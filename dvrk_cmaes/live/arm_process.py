@@ -77,8 +77,6 @@ class ArmProcess:
         Takes lines for the user.
     """
 
-    elsewhere = True
-
     def __init__(self, start: Start, make: Callable[[Report], FollowedArm], report: Report) -> None:
         self.state = ""
         self._start, self._serve, self._report = start, partial(serve, make), report

@@ -107,8 +107,6 @@ class LiveSetup:
 class FollowedArm(ExitStack):
     """An arm that is followed in this process: its newest tracker, and the solution of its keyframes."""
 
-    elsewhere = False
-
     def __init__(self, setup: LiveSetup, own: ArmSetup, report: Report) -> None:
         super().__init__()
         self._setup, self._own = setup, own

@@ -23,7 +23,6 @@ from dvrk_cmaes.live.inputs import Decoded, Inputs, LiveFrame
 from dvrk_cmaes.live.stamps import Ages, ImageTimes
 
 _WAIT: Final = 0.1  # s, for an image, before silence is looked for
-_BUDGET: Final = 0.1  # s, for the steps of all arms to one frame
 _AGREEING: Final = 3  # frames in a row of another size, which show that it is not a damaged message
 _CAUGHT_UP: Final = 1.0  # s, after which frames that are late must have become newer, or are followed all the same
 _NOT_AGAIN: Final = 30.0  # s, until that is tried again
@@ -175,30 +174,16 @@ class LiveLoop:
             self._times.follow(frame.time)
 
     def _follow(self, frame: LiveFrame, arrays: Decoded, silent: tuple[str, ...]) -> bool:
-        """Give readings and a frame to the trackers; returns whether the frame was followed.
-
-        Where the time is too short for all arms, those are followed that have waited longest.
-        """
-        began, followed, running = self._inputs.now(), False, list[LiveArm]()
+        """Give readings and a frame to the trackers; returns whether the frame was followed."""
 
         def age() -> float:
             return self._ages.age(frame.time, self._inputs.now())
 
         for arm in self._arms:
             self.counts.refused += arm.add_readings(self._inputs.readings[arm.name].take_all(), frame.time)
-        for arm in sorted(self._arms, key=lambda arm: arm.stepped):
-            steps = self._inputs.now() - began + arm.seconds
-            if (followed or running) and steps > _BUDGET:
-                took = f"{1e3 * steps:.0f} ms, more than {1e3 * _BUDGET:.0f}"
-                self._report(f"arms take turns: the steps of all take {took}")
-                continue
             arm.start(frame, arrays)
-            if arm.runs:
-                running.append(arm)
-            else:
-                followed |= self._finish(arm, age, silent)
-        for arm in running:
-            followed |= self._finish(arm, age, silent)
+        finished = [self._finish(arm, age, silent) for arm in self._arms]
+        followed = any(finished)
         self.counts.published = sum(arm.published for arm in self._arms)
         self.counts.followed += followed
         self.counts.refused += not followed

@@ -71,7 +71,7 @@ class Stage(Connection):
 class NothingBeside:
     """What a tracker has besides its steps, where nothing goes on beside them."""
 
-    state, elsewhere = "", False
+    state = ""
 
     def start_step(self, *arguments: Any) -> Any:
         return partial(self.step, *arguments)

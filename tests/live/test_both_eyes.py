@@ -157,20 +157,6 @@ def test_images_without_the_masks_that_are_awaited_are_no_frames_and_no_error() 
     assert any(line.startswith("/left/PSM1/mask: no message for") for line in robot.lines)
 
 
-def test_arms_take_turns_and_say_so_where_the_time_is_short() -> None:
-    robot = Robot(MASKED, pair(), seconds=0.07)
-    for k in range(40):
-        masks_at(robot, 0.2 * k)
-        robot.loop.turn()
-        robot.clock.now = max(robot.clock.now, 100 + 0.2 * (k + 1))
-    first, second = (robot.trackers[arm][0] for arm in ARMS)
-    assert len(first.steps) + len(second.steps) < 60
-    assert abs(len(first.steps) - len(second.steps)) <= 1
-    times = [time for time, *_ in first.steps[-5:]]
-    assert np.diff(times) == pytest.approx(0.4, abs=1e-3)
-    assert any(line.startswith("arms take turns: the steps of all take 1") for line in robot.lines)
-
-
 def test_transforms_of_each_arms_tool_and_base_are_fit_for_tf2() -> None:
     robot = Robot(MASKED, pair())
     masks_at(robot, 0.0)
