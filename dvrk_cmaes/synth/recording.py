@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
@@ -32,7 +33,7 @@ from dvrk_cmaes.synth.moving_arm import (
 )
 from dvrk_cmaes.synth.moving_images import IMAGE_LEVELS, DrawnTool, RecordingImages
 from dvrk_cmaes.synth.passing import Occluder
-from dvrk_cmaes.synth.recorded_frames import RecordedFrame, recorded_frames
+from dvrk_cmaes.synth.recorded_frames import recorded_frames
 from dvrk_cmaes.synth.session import PLAN_FILE, SessionPlan, check_shaft, frame_name, write_cameras
 from dvrk_cmaes.synth.steering import Steering
 from dvrk_cmaes.synth.truth import Truth
@@ -53,6 +54,20 @@ class RecordedArm:
     truths: list[Truth]
     readings: Mapping[str, Float64]
     steering: Steering | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnFrame:
+    """A frame of a view as it is written.
+
+    masks : (H, W) by the folder they are in. tools : the instruments in the image, the farthest first. occluder : what
+    is before them. visible : share of the jaws of each arm that can be seen.
+    """
+
+    masks: Mapping[str, NDArray[Any]]
+    tools: Sequence[DrawnTool]
+    occluder: Occluder | None
+    visible: Sequence[float]
 
 
 def level_index(plan: SessionPlan) -> int:
@@ -98,18 +113,60 @@ def write_recording(out: Path, plan: SessionPlan, *, pictures: Pictures = "none"
     """
     level = motion_level(plan)
     rng = np.random.default_rng([plan.seed, level_index(plan), 2])
+
+    def frames(part: int, truths: Sequence[list[Truth]], baseline: float) -> Iterator[DrawnFrame]:
+        """Yield the frames of a view; the mistakes of the right eye are its own."""
+        own = np.random.default_rng([plan.seed, level_index(plan), 4]) if part else rng
+        for frame in recorded_frames(plan, truths[0], own, baseline):
+            tools = [DrawnTool(truths[0], frame.coverage, frame.shadow)]
+            yield DrawnFrame({"masks": frame.mask}, tools, frame.occluder, (frame.visible,))
+
     with whole_folder(out, "synth", overwrite=overwrite) as folder:
-        arm = record_arm(plan, level, rng)
-        views = [(arm.truths, rng, 0.0)]
-        if plan.baseline is not None:  # the mistakes of the right eye are its own
-            of_right = np.random.default_rng([plan.seed, level_index(plan), 4])
-            views.append((seen_by_right(plan, arm.truths), of_right, plan.baseline))
-        with ExitStack() as opened:
-            frames = [opened.enter_context(_view(folder, plan, pictures, *view)) for view in views]
-            visible = [frame.visible for frame, *_ in zip(*frames, strict=True)]
+        write_arms(folder, plan, {"": record_arm(plan, level, rng)}, frames, pictures)
         write_cameras(folder, plan, plan.tools)
-        write_recorded_arm(folder, plan, arm, visible)
         write_json(folder / PLAN_FILE, describe_recording(plan, level, pictures))
+
+
+def write_arms(
+    folder: Path,
+    plan: SessionPlan,
+    arms: Mapping[str, RecordedArm],
+    frames: Callable[[int, Sequence[list[Truth]], float], Iterator[DrawnFrame]],
+    pictures: Pictures,
+) -> None:
+    """Write masks and images of all views of a recording, and the readings and the truth of its arms.
+
+    Parameters
+    ----------
+    folder, plan
+        The folder of the recording, and its parameters.
+    arms
+        The arms, by what is added to the names of their files.
+    frames
+        Yields the frames of a view: of its number, the arms' truths in its camera, and how far it is to the right of
+        the first one, m.
+    pictures
+        Whether and how images are written.
+    """
+    seen = [arm.truths for arm in arms.values()]
+    views = {"" if plan.baseline is None else "left": (seen, 0.0)}
+    if plan.baseline is not None:
+        of_right = [
+            [replace(truth, camera_from_root=plan.right_from_left @ truth.camera_from_root) for truth in own]
+            for own in seen
+        ]
+        views["right"] = of_right, plan.baseline
+    visible: list[Sequence[float]] = []
+    for part, (view, (truths, baseline)) in enumerate(views.items()):
+        with picture_writer(folder, plan, pictures, view, baseline) as write_picture:
+            for number, frame in enumerate(frames(part, truths, baseline)):
+                for to, mask in frame.masks.items():
+                    write_image(folder / to / view / f"{frame_name(plan, number)}.png", mask)
+                write_picture(number, frame.tools, frame.occluder)
+                if part == 0:
+                    visible.append(frame.visible)
+    for k, (suffix, arm) in enumerate(arms.items()):
+        write_recorded_arm(folder, plan, arm, [shares[k] for shares in visible], suffix)
 
 
 def write_recorded_arm(
@@ -167,33 +224,3 @@ def picture_writer(
                 video.write(cv2.imdecode(encoded, cv2.IMREAD_COLOR))
 
         yield write
-
-
-@contextmanager
-def _view(
-    folder: Path,
-    plan: SessionPlan,
-    pictures: Pictures,
-    truths: list[Truth],
-    rng: np.random.Generator,
-    baseline: float,
-) -> Iterator[Iterator[RecordedFrame]]:
-    """Give the frames of a view with given true poses in its camera; mask and image of each are written as it is made.
-
-    The view is the right one if it has a ``baseline``, m.
-    """
-    part = "" if plan.baseline is None else "right" if baseline else "left"
-    with picture_writer(folder, plan, pictures, part, baseline) as write_picture:
-
-        def written() -> Iterator[RecordedFrame]:
-            for number, frame in enumerate(recorded_frames(plan, truths, rng, baseline)):
-                write_image(folder / "masks" / part / f"{frame_name(plan, number)}.png", frame.mask)
-                write_picture(number, [DrawnTool(truths, frame.coverage, frame.shadow)], frame.occluder)
-                yield frame
-
-        yield written()
-
-
-def seen_by_right(plan: SessionPlan, truths: Sequence[Truth]) -> list[Truth]:
-    """Return truths with the poses in the right camera."""
-    return [replace(truth, camera_from_root=plan.right_from_left @ truth.camera_from_root) for truth in truths]

@@ -8,34 +8,32 @@ arm with the same seed.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.frames.session_toml import ToolEntry
-from dvrk_cmaes.geometry import Bool, Float32
-from dvrk_cmaes.io.atomic import write_image, write_json
+from dvrk_cmaes.geometry import Float32
+from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.output import whole_folder
 from dvrk_cmaes.synth.moving_arm import MotionLevel
 from dvrk_cmaes.synth.moving_images import DrawnTool
 from dvrk_cmaes.synth.passing import Occluder
-from dvrk_cmaes.synth.recorded_frames import RecordedFrame, occluder_at, recorded_frame, shadow_directions
+from dvrk_cmaes.synth.recorded_frames import occluder_at, recorded_frame, shadow_directions
 from dvrk_cmaes.synth.recording import (
+    DrawnFrame,
     Pictures,
     RecordedArm,
     describe_recording,
     level_index,
     motion_level,
-    picture_writer,
     record_arm,
-    seen_by_right,
-    write_recorded_arm,
+    write_arms,
 )
-from dvrk_cmaes.synth.session import PLAN_FILE, SessionPlan, frame_name, write_cameras
+from dvrk_cmaes.synth.session import PLAN_FILE, SessionPlan, write_cameras
 from dvrk_cmaes.synth.truth import Truth, exact_coverage
 from dvrk_cmaes.synth.two_arms import (
     ALONE,
@@ -55,27 +53,6 @@ _SHRINK: Final = 4
 _LAGS: Final = (0.5, 1.5)  # range of the lag of the second arm's readings, relative to the level's
 
 
-@dataclass(frozen=True, eq=False)
-class FrameOfArms:
-    """A frame of two arms in one view.
-
-    tools : as each tool is seen, in the order of the arms. alone : masks (H, W) that each would have without the other.
-    order : indices of the tools from the farthest to the nearest. behind : pixels (H, W) in which the other tool is
-    nearer than each. occluder : what is before both.
-    """
-
-    tools: tuple[RecordedFrame, RecordedFrame]
-    alone: tuple[Bool, Bool]
-    order: tuple[int, ...]
-    behind: tuple[Bool, Bool]
-    occluder: Occluder | None
-
-    @property
-    def labels(self) -> NDArray[np.uint8]:
-        """The mask of labels (H, W), the place of each arm from 1."""
-        return label_mask([tool.mask for tool in self.tools], self.order)
-
-
 def record_arms(plan: SessionPlan, levels: Sequence[MotionLevel]) -> tuple[RecordedArm, RecordedArm]:
     """Draw the motion and the readings of two arms whose tools cross; errors as `recording.record_arm`.
 
@@ -93,8 +70,8 @@ def record_arms(plan: SessionPlan, levels: Sequence[MotionLevel]) -> tuple[Recor
 
 
 def frames_of_arms(
-    plan: SessionPlan, truths: Sequence[Sequence[Truth]], part: int, baseline: float = 0.0
-) -> Iterator[FrameOfArms]:
+    plan: SessionPlan, part: int, truths: Sequence[list[Truth]], baseline: float = 0.0
+) -> Iterator[DrawnFrame]:
     """Yield the frames of two arms with given true poses in a camera, ``baseline`` m to the right of the first.
 
     ``part`` is a part of the seed, different for each view.
@@ -106,7 +83,7 @@ def frames_of_arms(
     ]
     for number in range(plan.frames):
         occluder = occluder_at(plan, truths[0][number], number, first, baseline)
-        yield _frame(plan, [own[number] for own in truths], (number, part), occluder, [next(own) for own in shadows])
+        yield _frame(plan, truths, number, part, occluder, [next(own) for own in shadows])
 
 
 def write_recording_of_arms(
@@ -120,10 +97,8 @@ def write_recording_of_arms(
     level = motion_level(plan)
     levels = (level, level if plan.lag is not None else _with_own_lag(plan, level))
     with whole_folder(out, "synth", overwrite=overwrite) as folder:
-        arms = record_arms(plan, levels)
-        visible = _write_views(folder, plan, arms, pictures)
-        for number, (name, arm) in enumerate(zip(ARMS, arms, strict=True)):
-            write_recorded_arm(folder, plan, arm, [shares[number] for shares in visible], f"_{name}")
+        arms = {f"_{name}": arm for name, arm in zip(ARMS, record_arms(plan, levels), strict=True)}
+        write_arms(folder, plan, arms, partial(frames_of_arms, plan), pictures)
         write_cameras(folder, plan, tools_of_arms(tool))
         lags = {name: own.lag for name, own in zip(ARMS, levels, strict=True)}
         write_json(folder / PLAN_FILE, {**describe_recording(plan, level, pictures), "arms": list(ARMS), "lags": lags})
@@ -153,16 +128,21 @@ def _small_depths(plan: SessionPlan, truths: Sequence[Truth]) -> list[Float32]:
 
 def _frame(
     plan: SessionPlan,
-    truths: Sequence[Truth],
-    seed: tuple[int, int],
+    truths: Sequence[list[Truth]],
+    number: int,
+    part: int,
     occluder: Occluder | None,
     shadows: Sequence[float | None],
-) -> FrameOfArms:
-    """Simulate the segmentation of both tools in a frame, with the same mistakes with the other tool and without."""
-    depths = [tool_depth(plan.body, plan.camera, truth) for truth in truths]
+) -> DrawnFrame:
+    """Simulate the segmentation of both tools in a frame, with the same mistakes with the other tool and without.
+
+    An image shows of the nearer tool all but what the other one hides of it.
+    """
+    now = [own[number] for own in truths]
+    depths = [tool_depth(plan.body, plan.camera, truth) for truth in now]
     behind = depths[1] < depths[0], depths[0] < depths[1]
-    tools, alone = [], []
-    for tool, truth in enumerate(truths):
+    tools, masks = [], {}
+    for tool, truth in enumerate(now):
         coverage = exact_coverage(plan.body, plan.camera, truth)
         seen, lone = (
             recorded_frame(
@@ -171,46 +151,17 @@ def _frame(
                 coverage,
                 occluder,
                 shadows[tool],
-                np.random.default_rng([plan.seed, level_index(plan), 9, *seed, tool]),
+                np.random.default_rng([plan.seed, level_index(plan), 9, number, part, tool]),
                 hiding,
             )
             for hiding in (behind[tool], None)
         )
         tools.append(seen)
-        alone.append(lone.mask)
-    return FrameOfArms((tools[0], tools[1]), (alone[0], alone[1]), tuple(from_far(depths)), behind, occluder)
-
-
-def _write_views(
-    folder: Path, plan: SessionPlan, arms: Sequence[RecordedArm], pictures: Pictures
-) -> list[tuple[float, ...]]:
-    """Write masks and images of all views; returns each frame's shares of the jaws that the first view sees, by arm."""
-    seen = [arm.truths for arm in arms]
-    if plan.baseline is None:
-        views = {"": (seen, 0.0)}
-    else:
-        views = {"left": (seen, 0.0), "right": ([seen_by_right(plan, own) for own in seen], plan.baseline)}
-    visible: list[tuple[float, ...]] = []
-    with ExitStack() as opened:
-        for part, (view, (truths, baseline)) in enumerate(views.items()):
-            write_picture = opened.enter_context(picture_writer(folder, plan, pictures, view, baseline))
-            for number, frame in enumerate(frames_of_arms(plan, truths, part, baseline)):
-                name = f"{frame_name(plan, number)}.png"
-                write_image(folder / "masks" / view / name, frame.labels)
-                for arm, mask in zip(ARMS, frame.alone, strict=True):
-                    write_image(folder / ALONE / arm / view / name, mask)
-                write_picture(number, _drawn(frame, truths), frame.occluder)
-                if part == 0:
-                    visible.append(tuple(tool.visible for tool in frame.tools))
-    return visible
-
-
-def _drawn(frame: FrameOfArms, truths: Sequence[Sequence[Truth]]) -> list[DrawnTool]:
-    """Return the tools as an image shows them, the farthest first, without what the other one hides of the nearer."""
-    far, *_ = frame.order
-    tools = []
-    for number in frame.order:
-        tool = frame.tools[number]
-        coverage = tool.coverage if number == far else np.where(frame.behind[number], np.float32(0), tool.coverage)
-        tools.append(DrawnTool(truths[number], coverage, tool.shadow))
-    return tools
+        masks[f"{ALONE}/{ARMS[tool]}"] = lone.mask
+    order = from_far(depths)
+    drawn = []
+    for k in order:
+        coverage = tools[k].coverage if k == order[0] else np.where(behind[k], np.float32(0), tools[k].coverage)
+        drawn.append(DrawnTool(truths[k], coverage, tools[k].shadow))
+    labels = label_mask([tool.mask for tool in tools], order)
+    return DrawnFrame({"masks": labels, **masks}, drawn, occluder, [tool.visible for tool in tools])
