@@ -20,7 +20,7 @@ from dvrk_cmaes.recording.video import has_stereo_videos, open_pictures, open_st
 
 
 class Reader(NamedTuple):
-    """A kind of recordings: its name, whether a path is one, what opens it, and the options that it takes."""
+    """A kind of recordings: its name, whether a path is one, what opens it, and the options that it takes, as words."""
 
     name: str
     knows: Callable[[Path], bool]
@@ -66,8 +66,8 @@ def open_recording(path: Path, asked: Asked) -> Iterator[Recording]:
     if reader.open is open_pictures and is_session_layout(path):
         raise InputError(f"{path}: expected a recording, got a session folder (masks or images): no import is needed")
     for name, option in _OPTIONS.items():
-        if getattr(asked, name) != getattr(Asked(), name) and name not in reader.takes:
-            able = " or ".join(other.name for other in READERS if name in other.takes)
+        if getattr(asked, name) != getattr(Asked(), name) and name not in reader.takes.split():
+            able = " or ".join(other.name for other in READERS if name in other.takes.split())
             raise InputError(f"{path}: {option}: expected {able} with it, got {reader.name}")
     if len(asked.arms) > 1 and reader.open is not open_bag:
         raise InputError(f"{path}: --arm: expected one arm, but of a ROS recording, got {', '.join(asked.arms)}")

@@ -8,7 +8,7 @@ mistakes, for comparison.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -37,18 +37,11 @@ MOST_HIDDEN: Final = 0.3  # share of a tool's pixels that the other may hide
 SECOND: Final = 104_729  # added to the seed for the second arm
 
 
-@dataclass(frozen=True, eq=False)
-class Arms:
-    """The truths of the two arms in each frame, and ``camera_from_base`` (4, 4) of each."""
-
-    bases: tuple[Float64, Float64]
-    truths: tuple[list[Truth], list[Truth]]
-
-
-def make_arms(plan: SessionPlan) -> Arms:
+def make_arms(plan: SessionPlan) -> tuple[tuple[Float64, list[Truth]], tuple[Float64, list[Truth]]]:
     """Draw the poses of two arms, such that their tools cross in as many frames as possible; errors as `make_truths`.
 
-    At most 30 % of a tool are hidden by the other one.
+    Returns ``camera_from_base`` (4, 4) and the truth in each frame of both arms. At most 30 % of a tool are hidden by
+    the other one.
     """
     first_base, first = make_truths(plan)
     second_base, offered = make_truths(replace(plan, seed=plan.seed + SECOND, frames=_CANDIDATES * plan.frames))
@@ -62,7 +55,7 @@ def make_arms(plan: SessionPlan) -> Arms:
         shares = [max(hidden_shares(near, depths[k])) for k in left]
         allowed = [share if share <= MOST_HIDDEN else -share for share in shares]
         second.append(offered[left.pop(int(np.argmax(allowed)))])
-    return Arms((first_base, second_base), (first, second))
+    return (first_base, first), (second_base, second)
 
 
 def hidden_shares(first: Float32, second: Float32) -> tuple[float, float]:
@@ -82,8 +75,8 @@ def write_two_arms(out: Path, plan: SessionPlan, tool: ToolEntry, *, overwrite: 
         arms = make_arms(plan)
         names = [frame_name(plan, k) for k in range(plan.frames)]
         for k, name in enumerate(names):
-            _write_frame(folder, plan, name, k, (arms.truths[0][k], arms.truths[1][k]))
-        for number, (arm, truths, base) in enumerate(zip(ARMS, arms.truths, arms.bases, strict=True)):
+            _write_frame(folder, plan, name, k, [truths[k] for _, truths in arms])
+        for number, (arm, (base, truths)) in enumerate(zip(ARMS, arms, strict=True)):
             rng = np.random.default_rng([plan.seed, number, 1])
             readings = sample_readings(truths, rng, plan.level, one_session=True)
             columns = [*OUTER_JOINTS, *plan.body.instrument.joint_names]
