@@ -34,7 +34,6 @@ from dvrk_cmaes.results.result import Result
 
 _STATUSES: Final = ("failed", "doubtful", "ok")
 _BARS_FOR_AT_MOST: Final = 80  # frames, of which standard deviations are drawn
-_MOST_PREDICTIONS: Final = 12  # pictures of predictions in the part on the calibration; all are with their frames
 _MOST_DETAILS: Final = 300  # frames whose tables are on the page; each has a document next to the page
 
 
