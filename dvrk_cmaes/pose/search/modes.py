@@ -29,13 +29,13 @@ _ANGLE, _JOINT = float(np.deg2rad(15)), float(np.deg2rad(25))  # between poses o
 _TWIN_ANGLE = np.deg2rad(40)  # between a mode and the mirror twin of another that count as the same
 
 
-def are_distinct(a: Posed, b: Posed, angle: float = _ANGLE, joint: float = _JOINT) -> Bool:
-    """Return whether poses differ by more than ``angle`` in rotation or more than ``joint`` in any joint, rad, (...).
+def are_distinct(a: Posed, b: Posed) -> Bool:
+    """Return whether poses differ by more than 15 degrees in rotation or more than 25 degrees in any joint, (...).
 
     ``a`` is one pose, ``b`` may be several.
     """
-    turned = rotation_angle(a.pose, b.pose) > angle
-    return np.asarray(turned | (np.abs(b.joints - a.joints).max(axis=-1, initial=0.0) > joint))
+    turned = rotation_angle(a.pose, b.pose) > _ANGLE
+    return np.asarray(turned | (np.abs(b.joints - a.joints).max(axis=-1, initial=0.0) > _JOINT))
 
 
 def twin_of(instrument: Instrument, at: Posed) -> Posed:
@@ -70,13 +70,14 @@ def first_of_modes(
     Poses are of the same mode if they are not distinct by the thresholds ``angle`` and ``joint``, rad. If the
     instrument is given as ``mirrored`` and has a mirror twin, poses and their twins are of the same mode.
     """
-    kept: list[int] = []
-    left = np.arange(len(at))
+    kept, left = list[int](), np.arange(len(at))
+    each = [at] if mirrored is None or not mirrored.has_twin else [at, twin_of(mirrored, at)]
+    rotations = [one.pose[:, :3, :3].reshape(-1, 9) for one in each]
     while len(left) and len(kept) != most:
         kept.append(int(left[0]))
-        same = [at[kept[-1]]]
-        if mirrored is not None and mirrored.has_twin:
-            same.append(twin_of(mirrored, same[0]))
-        for one in same:
-            left = left[are_distinct(one, at[left], angle, joint)]
+        for one, turned in zip(each, rotations, strict=True):
+            far = rotations[0][left] @ turned[kept[-1]] < 1 + 2 * np.cos(
+                angle
+            )  # the trace of the rotation between both
+            left = left[far | (np.abs(at.joints[left] - one.joints[kept[-1]]) > joint).any(axis=1)]
     return kept
