@@ -314,12 +314,11 @@ class SessionConfig:
     insertion_offset_mm, roll_offset_deg
         Standard deviations of the offsets of insertion and roll. Those of the instrument's joints are the standard
         deviations of their readings, ``readings``.
-    rounds
-        Number of iterations that alternate between fitting the frames and solving for the calibration.
     loosened
-        Factor on the standard deviations of the predicted poses in the first iteration; it decreases to 1.
+        Factor on the standard deviations of the predicted poses in the first of four rounds; its square root in
+        the second one.
     turn_deg
-        Rotation about the shaft, in both directions, of additional starting poses in the first iterations.
+        Rotation about the shaft, in both directions, of additional starting poses of frames that disagree.
     cauchy
         Scale of the Cauchy loss of the outline, as a difference of coverage.
     largest_misfit
@@ -354,7 +353,6 @@ class SessionConfig:
     slack_deg: float = 0.1
     insertion_offset_mm: float = 0.5
     roll_offset_deg: float = 20.0
-    rounds: int = 4
     loosened: float = 4.0
     turn_deg: float = 30.0
     cauchy: float = 0.25
@@ -445,6 +443,7 @@ def _as_dict(tree: Any) -> dict[str, Any]:
 
 
 REMOVED = {
+    "session.rounds": "frames and session are solved in four rounds",
     "session.masks_again": "masks stay as `batch` found them",
     "session.focal_length_percent": "see camera.focal_length_percent",
     "session.principal_point_px": "see camera.principal_point_percent, of the focal length",

@@ -198,7 +198,7 @@ def fit_frame(
     own_estimate: OwnEstimate | None = None,
     own_cameras: Sequence[Camera] | None = None,
     *,
-    margins: Sequence[float] = (),
+    margin: float = 0.0,
     lengths: Sequence[float] = (),
     preset: FitPreset = IN_SESSION,
 ) -> tuple[FrameFit, OwnEstimate]:
@@ -220,8 +220,8 @@ def fit_frame(
         end.
     own_cameras
         The views' cameras of ``own_estimate``, for images of the same size, where they are not those of the views.
-    margins
-        Margin of each view's mask, px, that is taken off it all round; none by default.
+    margin
+        Margin of the masks, px, that is taken off all round.
     lengths
         Correlation lengths of the contours' errors, px, one of each view, until they are measured; those of the own
         estimate or of the settings by default.
@@ -231,7 +231,7 @@ def fit_frame(
     limits, _, _ = split_readings(views[0].renderer.body.instrument, {}, config)
     terms = terms_of_frame(views, limits, config.refine.outline, expected)
     fit, coverage, seen, count = _refined(
-        views, config, terms, starts, own_estimate, own_cameras, margins, lengths, preset
+        views, config, terms, starts, own_estimate, own_cameras, margin, lengths, preset
     )
     own = own_estimate or OwnEstimate.drawn_as(views, fit.at, seen)
     if preset.noise == "weighed":
@@ -253,7 +253,7 @@ def _refined(
     starts: Sequence[Posed],
     own_estimate: OwnEstimate | None,
     own_cameras: Sequence[Camera] | None,
-    margins: Sequence[float],
+    margin: float,
     lengths: Sequence[float],
     preset: FitPreset,
 ) -> tuple[Fit, Coverage, list[Bool], int]:
@@ -268,7 +268,7 @@ def _refined(
     if coarse:
         selection = Selection(_SHARE, _GAP, least=_KEPT)
     for shrink in (2, 1) if coarse and len(starts) > 1 and views[0].evidence.camera.width >= 320 else (1,):
-        coverage = _coverage(views, outline, lengths, shrink, margins)
+        coverage = _coverage(views, outline, lengths, shrink, margin)
         if own_estimate is not None:
             noise = own_estimate.residual if shrink == 1 else None
             coverage = coverage.with_noise(_noise(coverage, own_estimate, own_cameras) if noise is None else noise)
@@ -393,11 +393,10 @@ def _coverage(
     outline: OutlineConfig,
     lengths: Sequence[float] = (),
     shrink: int = 1,
-    margins: Sequence[float] = (),
+    margin: float = 0.0,
 ) -> Coverage:
     """Return the coverage of a frame's views at 1 / ``shrink`` of the image size; the others as in `fit_frame`."""
-    pairs = zip(views, margins or [0.0] * len(views), strict=True)
-    sized = [SizedView(view, blur=outline.blur, shrink=shrink, margin=margin) for view, margin in pairs]
+    sized = [SizedView(view, blur=outline.blur, shrink=shrink, margin=margin) for view in views]
     return Coverage(sized, outline, correlations=lengths)
 
 
@@ -406,8 +405,7 @@ def _noise(coverage: Coverage, own_estimate: OwnEstimate, cameras: Sequence[Came
     return (coverage if cameras is None else coverage.with_cameras(cameras)).noise_at(own_estimate.at)
 
 
-_SETTLED = 0.5  # standard deviations per parameter; a frame whose fit would move by less is not fitted again,
-_SETTLED_LAST = 0.15  # and in the last round by this
+_SETTLED = 0.15  # standard deviations per parameter; a frame whose fit would move by less is not fitted again
 _NEAR = 3.0  # standard deviations per parameter; a fit that would move by less starts from where it would move to
 
 
@@ -426,27 +424,27 @@ def first_starts(
 
 
 def next_starts(
-    fit: FrameFit, misfit: float, expected: Expected, turn: float | None, *, last: bool, changed: Posed | None = None
+    fit: FrameFit, misfit: float, expected: Expected, turn: float, changed: Posed | None = None
 ) -> tuple[Posed, ...]:
     """Return the starts of a frame that was fitted before; none if the fit is settled.
 
     A fit that agrees with the session starts from where it would move to, if that is near. Any other starts from where
-    it is and from what the session expects, and from that rotated about the shaft by ``turn``, rad, to both sides, if
-    given. ``misfit`` is as in `first_starts`, of the outline that was fitted. ``last`` tells whether the fit will be
-    the result. ``changed`` is where the fit moves to with another camera, if it has changed.
+    it is and from what the session expects, and from that rotated about the shaft by ``turn``, rad, to both sides.
+    ``misfit`` is as in `first_starts`, of the outline that was fitted. ``changed`` is where the fit moves to with
+    another camera, or masks less their margin, if these have changed.
     """
     clear = misfit < INLIER_MISFIT
     if changed is not None:
         return (changed,) if clear else (changed, *_around(expected, turn))
     step = fit.step_to(expected)
-    if step < (_SETTLED_LAST if last else _SETTLED) and (clear or turn is None):
-        return ()
-    if step < _NEAR and clear:
-        return (fit.moved_to(expected).at,)
-    return (fit.at, *_around(expected, turn))
+    if not clear or step >= _NEAR:
+        return (fit.at, *_around(expected, turn))
+    return () if step < _SETTLED else (fit.moved_to(expected).at,)
 
 
-def _around(expected: Expected, turn: float | None) -> list[Posed]:
-    """Return what a session expects, and that rotated about the shaft to both sides by ``turn``, rad, if given."""
-    mean, turns = expected.mean, (0.0,) if turn is None else (0.0, -turn, turn)
-    return [Posed(moved(mean.pose, np.array([0, 0, 0, 0, 0, angle])), mean.joints) for angle in turns]
+def _around(expected: Expected, turn: float) -> list[Posed]:
+    """Return what a session expects, and that rotated about the shaft to both sides by ``turn``, rad."""
+    return [
+        Posed(moved(expected.mean.pose, np.array([0, 0, 0, 0, 0, angle])), expected.mean.joints)
+        for angle in (0.0, -turn, turn)
+    ]

@@ -178,18 +178,18 @@ def _with_turned_views(rotations: Mapping[str, Float64], data: FrameData) -> Fra
 def fit_task(
     body: Body,
     config: EstimateConfig,
-    task: tuple[StoredFrame, Expected, tuple[Posed, ...], Float64 | None, tuple[float, ...]],
+    task: tuple[StoredFrame, Expected, tuple[Posed, ...], Float64 | None, float],
 ) -> FrameFit:
     """Fit a frame to its outline, with the session's prediction as a prior.
 
     The task is the frame's stored evidence, what is expected of it and the starts, as in `fit_frame`, the change (3,)
     of all cameras for the fit, as of `changed`, where they are not those of the evidence and of the own estimate, and
-    the margins of the views' masks, px.
+    the margin of the masks, px.
     """
-    stored, expected, starts, change, margins = task
+    stored, expected, starts, change, margin = task
     own_cameras = None if change is None else [view.evidence.camera for view in stored.views]
     views = restored_views(body, stored, change)
-    fit, _ = fit_frame(views, config, expected, starts, stored.own, own_cameras=own_cameras, margins=margins)
+    fit, _ = fit_frame(views, config, expected, starts, stored.own, own_cameras=own_cameras, margin=margin)
     return fit
 
 

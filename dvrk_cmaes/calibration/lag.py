@@ -2,8 +2,7 @@
 
 A wrong lag gives a moving arm readings of another moment, so that the frames' poses no longer agree on one
 camera_from_base. A search by the frames' own modes finds where they agree best. From then on the lag is a block beside
-base and offsets: a change of it changes what is predicted of a frame by the velocity of its readings. Clocks of
-different rates make the lag drift; the drift is estimated with it.
+base and offsets: a change of it changes what is predicted of a frame by the velocity of its readings.
 """
 
 from __future__ import annotations
@@ -65,27 +64,24 @@ _FLAT = 1.0  # steps of the curve: root mean square of what it allows, from whic
 _OF_A_LAG, _OF_NONE = 0.5, 0.7  # of that, least standard deviation of a lag, and of none
 _UNDETERMINED, _UNKNOWN = 2.0, 3.0  # frames, least and largest standard deviation of a lag that is not determined
 # refinement
-_LAG, _DRIFT = range(2)  # of the values of a lag
-_DRIFT_STD = 1e-3  # expected beforehand: clocks differ by parts per thousand at most
 _SHARED_ERRORS = 2.0  # factor on the standard deviation: the frames of a recording share errors of masks and readings
 _LINEARISATIONS, _MOST_LINEARISATIONS = 4, 10  # those that do not move the lag by half a step of the search, and all
-_DRIFT_STEPS = 4.0  # range of the change of the lag in half of the session, in steps of the search
 _LEAST_STEP = 0.25  # of the refinement's differences, relative to the search's
 _SETTLED, _SETTLING = 0.01, 0.45  # steps of the search, by which a refined value still changes, and by which at most
 # decision
 _SIGNIFICANT = 2.0  # standard deviations
-_LEAST_LAG = 0.3  # frames, below which a lag, or its change in half of the session, is not corrected
+_LEAST_LAG = 0.3  # frames, below which a lag is not corrected
 _LARGEST_STD = 1.0  # frames, above which the lag is not determined
 _AGREE = 3.0  # standard deviations of each lag, within which those of several arms are taken for one
 
 
 class LagBlock(PredictedBlock):
-    """Some values of a lag: that in the middle of the frames, in the unit of their times, and its change by time."""
+    """A lag (1,), in the unit of the frames' times."""
 
     shared = True
 
-    def __init__(self, std: Float64) -> None:
-        super().__init__(LAG, std, (LAG, "drift")[: len(std)])
+    def __init__(self, std: float) -> None:
+        super().__init__(LAG, np.array([std]), (LAG,))
 
     def derivative(self, model: SessionModel, calibration: Calibration) -> Float64:
         """Return the changes of the predictions by those of the readings (`SessionModel.late`)."""
@@ -162,10 +158,10 @@ class LagCurve(Document):
 
 
 class Refined(NamedTuple):
-    """Values (2,) of a lag, in the unit of the readings' times, and their standard deviations (2,)."""
+    """A lag in the unit of the readings' times, and its standard deviation."""
 
-    values: Float64
-    std: Float64
+    value: float
+    std: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,50 +269,37 @@ class SessionLag:
         return self.lag if self.lag is not None and self.lag.applied else None
 
     @property
-    def values(self) -> Float64:
-        """Values (2,) of the lag that is taken out; zero if none is."""
-        return self.values_of(self.applied)
+    def value(self) -> float:
+        """The lag that is taken out, in the unit of the series; zero if none is."""
+        return 0.0 if self.applied is None or self.series is None else self.applied.in_unit(self.series.unit)
 
-    def values_of(self, lag: Lag | None) -> Float64:
-        """Return the values (2,) of a lag; zero for None."""
-        if lag is None or self.series is None:
-            return np.zeros(2)
-        middle = np.array([self.middle + self.series.origin])
-        return np.array([lag.at(middle, self.series.unit)[0], lag.drift])
-
-    @property
-    def half_duration(self) -> float:
-        """Half of the time between the first and the last image."""
-        return float(np.ptp(self.times)) / 2
-
-    def read_times(self, values: Float64) -> Float64:
+    def read_times(self, value: float) -> Float64:
         """Return the times (N,) at which the arm was read as the images show it."""
-        return np.asarray(self.times - values[_LAG] - values[_DRIFT] * (self.times - self.middle))
+        return np.asarray(self.times - value)
 
-    def has_readings(self, values: Float64) -> Bool:
+    def has_readings(self, value: float) -> Bool:
         """Whether each frame has readings of all outer joints at a lag, (N,)."""
-        return np.asarray(~np.isnan(self._known.at(OUTER_JOINTS, self.read_times(values))).any(axis=1))
+        return np.asarray(~np.isnan(self._known.at(OUTER_JOINTS, self.read_times(value))).any(axis=1))
 
     @property
     def all_have_readings(self) -> bool:
         """Whether each frame has readings of all outer joints at the lag that is taken out."""
-        return self.applied is None or bool(self.has_readings(self.values).all())
+        return self.applied is None or bool(self.has_readings(self.value).all())
 
     def has_readings_near(self) -> Bool:
-        """Whether each frame has readings at the lag that is taken out, and half a step of the search beside it."""
+        """Whether each frame has readings at the lag that is taken out, and half a step of the search around it."""
         reach = (self.step or 0.0) / 2 if self.interpolable else 0.0
-        near = [self.has_readings(self.values + by * np.eye(2)[_LAG]) for by in (-reach, reach)]
-        return np.asarray(near[0] & near[1])
+        return np.asarray(self.has_readings(self.value - reach) & self.has_readings(self.value + reach))
 
-    def model_at(self, model: SessionModel, values: Float64) -> SessionModel:
+    def model_at(self, model: SessionModel, value: float) -> SessionModel:
         """Return a model with the readings of the times of the images less a lag."""
-        return self._model_at(model, values, model.deviations, smoothed=False)
+        return self._model_at(model, value, model.deviations, smoothed=False)
 
     def corrected(self, model: SessionModel) -> SessionModel:
         """Return a model with the readings of the times of the images less the lag that is taken out."""
-        return model if self.applied is None else self.model_at(model, self.values)
+        return model if self.applied is None else self.model_at(model, self.value)
 
-    def model_to_compare(self, model: SessionModel, values: Float64) -> SessionModel:
+    def model_to_compare(self, model: SessionModel, value: float) -> SessionModel:
         """Return the model of `model_at` by which lags are compared.
 
         Its readings are smoothed where they may be interpolated: otherwise a lag between two rows would agree better
@@ -325,16 +308,14 @@ class SessionLag:
         otherwise be taken for a lag.
         """
         count = len(self.times)
-        spacing = 2 * self.half_duration / max(count - 1, 1) * self._unit_seconds
+        spacing = float(np.ptp(self.times)) / max(count - 1, 1) * self._unit_seconds
         factor = float(np.sqrt(np.clip(_CABLE_SECONDS / max(spacing, 1e-9), 1.0, count)))
         own = model.deviations
         outer = own.outer * np.where(np.array(OUTER_JOINTS) == "roll", factor, 1.0)
-        return self._model_at(model, values, replace(own, outer=outer, joints=factor * own.joints), smoothed=True)
+        return self._model_at(model, value, replace(own, outer=outer, joints=factor * own.joints), smoothed=True)
 
-    def _model_at(
-        self, model: SessionModel, values: Float64, deviations: Deviations, *, smoothed: bool
-    ) -> SessionModel:
-        read, spline = self.read_times(values), smoothed and self.interpolable
+    def _model_at(self, model: SessionModel, value: float, deviations: Deviations, *, smoothed: bool) -> SessionModel:
+        read, spline = self.read_times(value), smoothed and self.interpolable
         outer = self._known.at(OUTER_JOINTS, read, smoothed=spline)
         joints = self._known.at(model.names, read, smoothed=spline)
         endoscope = model.endoscope
@@ -360,7 +341,7 @@ class SessionLag:
 
     def seconds(self) -> Float64 | None:
         """Return the times (N,), s, at which the arm was read as the images show it; None where they are not known."""
-        return self._unit_seconds * self.read_times(self.values) if self._timed else None
+        return self._unit_seconds * self.read_times(self.value) if self._timed else None
 
     def play(self, names: Sequence[str], readings: Float64, width: Float64) -> Play | None:
         """Return how far C joints stay behind their readings (N, C); None where the times are not known.
@@ -369,7 +350,7 @@ class SessionLag:
         """
         if not self._timed:
             return None
-        at, of_joints, series = self.read_times(self.values), [], self._known
+        at, of_joints, series = self.read_times(self.value), [], self._known
         for name, column, band in zip(names, readings.T, width, strict=True):
             times, values = series.times.get(name), series.values.get(name)
             if times is None or values is None:
@@ -390,22 +371,19 @@ class SessionLag:
 
     def decided(self, found: Refined) -> Lag | str:
         """Decide whether a lag is to be taken out; a text that says why where it is not determined."""
-        (value, drift), std, series = found.values, found.std, self._known
-        if std[_LAG] > _LARGEST_STD * series.interval:
-            return f"standard deviation {std[_LAG] / series.interval:.1f} frames; {MOVE}"
-        significant = abs(value) > max(_SIGNIFICANT * std[_LAG], _LEAST_LAG * series.interval) or drift != 0
-        described = Lag.of(float(value), float(std[_LAG]), series.unit, series.interval, applied=bool(significant))
-        if drift == 0:
-            return described
-        return replace(described, drift=float(drift), std_drift=float(std[_DRIFT]), middle=self.middle + series.origin)
+        (value, std), series = found, self._known
+        if std > _LARGEST_STD * series.interval:
+            return f"standard deviation {std / series.interval:.1f} frames; {MOVE}"
+        significant = abs(value) > max(_SIGNIFICANT * std, _LEAST_LAG * series.interval)
+        return Lag.of(value, std, series.unit, series.interval, applied=significant)
 
     @property
     def known(self) -> tuple[float, float] | None:
-        """The lag and its standard deviation in the unit of the series; None where it is not determined, or drifts."""
-        if self.lag is None or self.series is None or self.lag.drift:
+        """The lag and its standard deviation in the unit of the series; None where it is not determined."""
+        if self.lag is None or self.series is None:
             return None
         std = self.lag.std_seconds if self.series.unit == "s" else self.lag.std_frames
-        return None if std is None else (float(self.values_of(self.lag)[_LAG]), std)
+        return None if std is None else (self.lag.in_unit(self.series.unit), std)
 
     def change_of_predictions(self, model: SessionModel, calibration: Calibration) -> Float64:
         """Return the changes (N, D) of what is predicted of the frames, by one standard deviation of the lag.
@@ -421,12 +399,12 @@ class SessionLag:
         told = None if self.lag is None else (self.lag.std_seconds if series.unit == "s" else self.lag.std_frames)
         unknown, applied = _UNKNOWN * series.interval, self.applied is not None
         if told is not None:
-            least = self.curve.least_std(count, unknown, self.values[_LAG], applied=applied) if self.curve else 0.0
+            least = self.curve.least_std(count, unknown, self.value, applied=applied) if self.curve else 0.0
             step = max(told, least)
         else:
             allowed = self.curve.root_mean_square(count, unknown) if self.curve and len(self.curve.lags) > 2 else 0.0
             step = max(_UNDETERMINED * series.interval, allowed)
-        ends = [self.model_at(model, self.values + by * np.eye(2)[_LAG]) for by in (step, -step)]
+        ends = [self.model_at(model, self.value + by) for by in (step, -step)]
         later, earlier = (end.predict(calibration) for end in ends)
         change = later.minus(earlier) / 2
         return np.where(np.isnan(change).any(axis=1, keepdims=True), none, change)
@@ -444,15 +422,14 @@ class SessionLag:
 
     def _refined_modes(self, model: SessionModel, modes: Sequence[Sequence[Mode]], lag: float) -> Refined | None:
         """Refine a lag of the search by the modes that agree there."""
-        start = np.array([lag, 0.0])
-        consensus = self._consensus(model, modes, start)
+        consensus = self._consensus(model, modes, lag)
         if consensus is None:
             return None
-        has = np.flatnonzero(self.has_readings(start))
-        shifted = self.model_at(model, start).subset(has)
+        has = np.flatnonzero(self.has_readings(lag))
+        shifted = self.model_at(model, lag).subset(has)
         chosen = choose_modes(shifted, [modes[int(i)] for i in has], consensus.calibration)
         frames = ArmFrames(shifted, FrameFits.of_modes(chosen), consensus.calibration)
-        return refine_lag([(self.subset(has), frames)], start)
+        return refine_lag([(self.subset(has), frames)], lag)
 
     def _search(self, model: SessionModel, modes: Sequence[Sequence[Mode]]) -> tuple[SessionLag, float | None]:
         """Find the lag at which the frames' modes agree best; None with the reason where they do not determine it.
@@ -508,38 +485,34 @@ class SessionLag:
     ) -> tuple[Float64, Float64]:
         """Return the lags (L,) of a search and the mean misfits (L,) there; infinite with too few readings."""
         lags = np.asarray(step * np.arange(round(low / step), round(high / step) + 1), np.float64)
-        agreed = [self._consensus(model, modes, np.array([lag, 0.0])) for lag in lags]
+        agreed = [self._consensus(model, modes, lag) for lag in lags.tolist()]
         return lags, np.array([np.inf if each is None else each.mean_misfit for each in agreed])
 
-    def _consensus(self, model: SessionModel, modes: Sequence[Sequence[Mode]], values: Float64) -> Consensus | None:
+    def _consensus(self, model: SessionModel, modes: Sequence[Sequence[Mode]], value: float) -> Consensus | None:
         """Return the consensus of the frames' modes at a lag; None if too few frames have readings there."""
-        has = np.flatnonzero(self.has_readings(values))
+        has = np.flatnonzero(self.has_readings(value))
         if len(has) < max(_LEAST_AT_LAG, _LEAST_SHARE * len(modes)):
             return None
         few = {"hypothesis_frames": _HYPOTHESIS_FRAMES, "test_frames": _TEST_FRAMES}
         own = [modes[int(i)] for i in has]
-        return find_consensus(self.model_to_compare(model, values).subset(has), own, **few)
+        return find_consensus(self.model_to_compare(model, value).subset(has), own, **few)
 
     # refinement
 
-    def near(self, frames: ArmFrames, values: Float64, own: Sequence[int], reach: Float64) -> ArmFrames | None:
-        """Return frames with what is predicted of them linearised at a lag in those ``own`` values that are unknowns.
+    def near(self, frames: ArmFrames, value: float, reach: float) -> ArmFrames | None:
+        """Return frames with what is predicted of them linearised at a lag, which changes by at most ``reach``.
 
-        ``reach`` (n,) are the largest changes of these; None if too few frames have readings there. Each frame counts
-        as one, and its errors as independent of others.
+        None if too few frames have readings there. Each frame counts as one, and its errors as independent of others.
         """
-        rows = reach[:, None] * np.eye(2)[list(own)]
-        has = np.logical_and.reduce([self.has_readings(values + by) for by in (*rows, *-rows)])
+        has = self.has_readings(value - reach) & self.has_readings(value + reach)
         if has.sum() < _LEAST_AT_LAG:
             return None
         order = np.flatnonzero(has)[np.argsort(self.times[has], kind="stable")]
         of_these, model, fits = self.subset(order), frames.model.subset(order), frames.fits.subset(order)
-        alone, changes = frames.calibration.without(LAG), []
-        for row in _LEAST_STEP * rows:
-            later, earlier = (of_these.model_to_compare(model, values + by).predict(alone) for by in (row, -row))
-            changes.append(later.minus(earlier))
-        late = Late(np.stack(changes, axis=2) / (2 * _LEAST_STEP * reach), values[list(own)])
-        model = replace(of_these.model_to_compare(model, values), late=late)
+        alone, by = frames.calibration.without(LAG), _LEAST_STEP * reach
+        later, earlier = (of_these.model_to_compare(model, value + step).predict(alone) for step in (by, -by))
+        late = Late(later.minus(earlier)[:, :, None] / (2 * by), np.array([value]))
+        model = replace(of_these.model_to_compare(model, value), late=late)
         return ArmFrames(model, FrameFits(fits.at, fits.outlines), frames.calibration)
 
 
@@ -547,75 +520,52 @@ LateFrames = tuple[SessionLag, ArmFrames]
 """An arm's frames, and their readings at any lag."""
 
 
-def refine_lag(arms: Sequence[LateFrames], start: Float64, *, drift: bool = True) -> Refined | None:
-    """Refine a lag, and its drift where that is significant, together with the calibrations of arms of one clock.
+def refine_lag(arms: Sequence[LateFrames], start: float) -> Refined | None:
+    """Refine a lag together with the calibrations of arms of one clock.
 
-    A drift is kept if it changes the lag noticeably in half of the session. A lag of readings that cannot be
-    interpolated is left as it is. None if too few frames have readings around the lag, or the frames agree best
-    nowhere near the start.
+    A lag of readings that cannot be interpolated is left as it is. None if too few frames have readings around the lag,
+    or the frames agree best nowhere near the start.
 
     Parameters
     ----------
     arms
         The arms.
-    start : (2,)
-        The values to start from.
-    drift
-        Whether the drift may be one of the unknowns.
+    start
+        The lag to start from.
     """
     clock, _ = arms[0]
     if not clock.step:
         return None
     if not clock.interpolable:
-        return Refined(start, np.array([clock.step / np.sqrt(12), 0.0]))
-    half, least = max(lag.half_duration for lag, _ in arms), _LEAST_LAG * clock._known.interval
-    found = None
-    if drift and half * _DRIFT_STD >= least / 4:
-        found = _refine(arms, start, (_LAG, _DRIFT))
-    if found is not None:
-        if abs(found.values[_DRIFT]) > max(_SIGNIFICANT * found.std[_DRIFT], least / half):
-            return found
-        start = np.array([found.values[_LAG], 0.0])
-    return _refine(arms, start, (_LAG,))
-
-
-def _refine(arms: Sequence[LateFrames], start: Float64, own: tuple[int, ...]) -> Refined | None:
-    """Refine those values of a lag that are unknowns, as `refine_lag`."""
-    (clock, _), half = arms[0], max(lag.half_duration for lag, _ in arms)
-    assert clock.step is not None
-    unknowns, step = list(own), clock.step
-    reach = np.array([step, _DRIFT_STEPS * step / max(half, step)])[unknowns]
-    block = LagBlock(np.array([FARTHEST[clock._known.unit], _DRIFT_STD])[unknowns] / _SHARED_ERRORS)
-    values, left = start, _LINEARISATIONS
-    calibrations = [frames.calibration.beside(block, lag=start[unknowns]) for _, frames in arms]
-    solutions, moved = None, np.zeros(len(own))
+        return Refined(start, clock.step / np.sqrt(12))
+    reach, value, left = clock.step, start, _LINEARISATIONS
+    block = LagBlock(FARTHEST[clock._known.unit] / _SHARED_ERRORS)
+    calibrations = [frames.calibration.beside(block, lag=np.array([start])) for _, frames in arms]
+    solutions, moved = None, 0.0
     for _ in range(_MOST_LINEARISATIONS):
         pairs = zip(arms, calibrations, strict=True)
-        near = [lag.near(frames._replace(calibration=at), values, own, reach) for (lag, frames), at in pairs]
+        near = [lag.near(frames._replace(calibration=at), value, reach) for (lag, frames), at in pairs]
         linearised = [one for one in near if one is not None]
         if len(linearised) < len(near):
             break
-        at = values[unknowns]
         solutions = solve_arms(linearised)
-        change = np.clip(solutions[0].calibration.values[LAG] - at, -reach / 2, reach / 2)
-        values, moved = start.copy(), np.abs(change) / reach
-        values[unknowns] = at + change
+        change = float(np.clip(solutions[0].calibration.values[LAG][0] - value, -reach / 2, reach / 2))
+        value, moved = value + change, abs(change) / reach
         calibrations = [own.calibration for own in solutions]
-        left -= int((moved < 0.5).all())
-        if not left or (moved < _SETTLED).all():
+        left -= int(moved < 0.5)
+        if not left or moved < _SETTLED:
             break
-    if solutions is None or (moved > _SETTLING).any():
+    if solutions is None or moved > _SETTLING:
         return None
-    place, std = solutions[0].calibration.place(LAG), np.zeros(2)
-    alone = _SHARED_ERRORS**2 * np.diag(np.linalg.inv(solutions[0].information))
-    std[unknowns] = np.sqrt(np.maximum(alone, np.diag(solutions[0].covariance)))[place]
-    return Refined(values, std)
+    place = solutions[0].calibration.place(LAG)
+    alone = _SHARED_ERRORS**2 * np.linalg.inv(solutions[0].information)[place, place]
+    return Refined(value, float(np.sqrt(max(alone.item(), solutions[0].covariance[place, place].item()))))
 
 
 def in_common(lags: Sequence[SessionLag]) -> list[SessionLag]:
     """Return the lags of a session's arms, of which those that agree become their mean by the standard deviations.
 
-    An arm whose frames do not tell its lag has that of the others. A lag that disagrees, that drifts, or at which few
+    An arm whose frames do not tell its lag has that of the others. A lag that disagrees, or at which few
     frames would have readings, is that of its arm alone: arms may have clocks of their own.
     """
     if len(lags) < 2:
@@ -630,8 +580,8 @@ def in_common(lags: Sequence[SessionLag]) -> list[SessionLag]:
     mean, std = weights @ values / weights.sum(), weights.sum() ** -0.5
     if (np.abs(values - mean) > _AGREE * stds).any():
         return [replace(lag, alone=True) for lag in lags]
-    found = Refined(np.array([mean, 0.0]), np.array([std, 0.0]))
+    found = Refined(float(mean), float(std))
     shared = [replace(lag, lag=None).with_estimate(found) for lag in lags]
-    if not all(lag.lag is not None and lag.has_readings(lag.values).sum() >= _LEAST_AT_LAG for lag in shared):
+    if not all(lag.lag is not None and lag.has_readings(lag.value).sum() >= _LEAST_AT_LAG for lag in shared):
         return [replace(lag, alone=True) for lag in lags]
     return [replace(lag, undetermined="") for lag in shared]

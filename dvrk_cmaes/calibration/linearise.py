@@ -14,7 +14,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.autocorrelated_errors import IN_SESSION, CommonErrors, without_sides
 from dvrk_cmaes.calibration.blocks import Calibration, OutlineOfView, SeenBlock, ViewAsSeen
-from dvrk_cmaes.calibration.frame_fit import OwnEstimate, with_noise
+from dvrk_cmaes.calibration.frame_fit import with_noise
 from dvrk_cmaes.calibration.frame_task import Run
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, Solved, Solver, marginalise
@@ -35,61 +35,50 @@ _BASE_STD = 1.0, 1.0  # m and rad, of the base beforehand, some of which a sessi
 
 
 def outline_task(
-    body: Body,
-    config: EstimateConfig,
-    task: tuple[StoredFrame, tuple[int, ...], tuple[ViewAsSeen, ...], Posed, tuple[SeenBlock, ...]],
+    body: Body, config: EstimateConfig, task: tuple[StoredFrame, int, ViewAsSeen, Posed, tuple[SeenBlock, ...]]
 ) -> Quadratic:
     """Compute the outline's terms (1, D + E) about a pose and E unknowns of blocks.
 
-    Errors that parts of one mask share are eliminated. The noise is that at the frame's own estimate; of several
-    views, it is measured at the pose where it is less there: in a wrong rig, no pose fits all views. The task is a
-    frame, the numbers of views and how they see, the pose and the blocks.
+    Errors that parts of one mask share are eliminated. The noise is that at the frame's own estimate. The task is a
+    frame, the number of a view and how it sees, the pose and the blocks.
     """
-    frame, numbers, seen, at, blocks = task
-    stored = [frame.views[number] for number in numbers]
-    views = [one.restored(body, by.camera, by.place) for one, by in zip(stored, seen, strict=True)]
+    frame, number, by, at, blocks = task
+    view, own = frame.views[number].restored(body, by.camera, by.place), frame.own.of_view(number)
+    if own.residual is None:
+        own = with_noise(own, [frame.views[number].restored(body)], config)
     outline = replace(config.refine.outline, cauchy=config.session.cauchy)
-    sized = [SizedView(view, blur=outline.blur, margin=by.margin) for view, by in zip(views, seen, strict=True)]
-    own, here = frame.own, Posed.stacked([at])
-    if len(views) == 1:
-        own = own.of_view(numbers[0])
-        own = own if own.residual is not None else with_noise(own, [stored[0].restored(body)], config)
-        noises = own.noises
-    else:
-        pairs = zip(own.noises, OwnEstimate.of(views, at).noises, strict=True)
-        noises = tuple(min(pair, key=lambda noise: noise.sigma) for pair in pairs)
-    coverage = Coverage(sized, outline, correlations=[noise.length for noise in noises])
-    (drawn,) = coverage.draw(here)
-    noise = sum(coverage.final_losses(drawn)) if len(views) > 1 or own.residual is None else own.residual
-    coverage = coverage.with_noise(noise if own.residual is None else min(noise, own.residual))
+    sized = SizedView(view, blur=outline.blur, margin=by.margin)
+    coverage = Coverage([sized], outline, correlations=own.lengths)
+    (drawn,) = coverage.draw(Posed.stacked([at]))
+    assert own.residual is not None
+    coverage = coverage.with_noise(own.residual)
 
-    def effects(number: int, points: OutlinePoints, by_pose: Float64) -> Float64:
-        size = seen[number].size
-        drawn_there = OutlineOfView(views[number].name, sized[number], points, by_pose, at, size)
+    def effects(_: int, points: OutlinePoints, by_pose: Float64) -> Float64:
+        drawn_there = OutlineOfView(view.name, sized, points, by_pose, at, by.size)
         return np.column_stack([block.effect(drawn_there) for block in blocks])
 
-    whole = coverage.near_with_sides(at, noises, effects, drawn, as_seen=config.session.shadows)
-    return without_sides(whole, SIDES * len(views), IN_SESSION)
+    whole = coverage.near_with_sides(at, own.noises, effects, drawn, as_seen=config.session.shadows)
+    return without_sides(whole, SIDES, IN_SESSION)
 
 
 @dataclass(frozen=True, eq=False)
 class SessionOutlines:
-    """The outlines of N frames in some of their views, as functions of poses, joints and blocks.
+    """The outlines of N frames in one view of each, as functions of poses, joints and blocks.
 
-    ``stored`` are the frames, ``views`` (N,) the numbers of the views that count; a frame without any does not
+    ``stored`` are the frames, ``views`` (N,) the numbers of these views; a frame without one does not
     influence the estimate. ``run`` applies a function to many tasks. ``common`` are the errors that the frames share.
     """
 
     stored: Sequence[StoredFrame]
-    views: Sequence[tuple[int, ...]]
+    views: Sequence[int | None]
     run: Run[Any, Any]
     common: CommonErrors
     blocks: tuple[SeenBlock, ...]
 
     @property
     def camera(self) -> Camera:
-        """The camera of the first frame in its first view that counts, as its file has it."""
-        return self.stored[0].views[self.views[0][0] if self.views[0] else 0].evidence.camera
+        """The camera of the first frame in its view, as its file has it."""
+        return self.stored[0].views[self.views[0] or 0].evidence.camera
 
     def near(self, at: Posed, values: Mapping[str, Float64]) -> FrameFits:
         """Linearise the outlines at N poses and values of the blocks by name, in both.
@@ -101,13 +90,13 @@ class SessionOutlines:
         """
         values = {one.name: one.start if one.is_linear else values[one.name] for one in self.blocks}
         tasks = [
-            (stored, views, tuple(self._seen(stored, view, values) for view in views), at[k], self.blocks)
-            for k, (stored, views) in enumerate(zip(self.stored, self.views, strict=True))
-            if views
+            (stored, view, self._seen(stored, view, values), at[k], self.blocks)
+            for k, (stored, view) in enumerate(zip(self.stored, self.views, strict=True))
+            if view is not None
         ]
         found = iter(self.run(outline_task, tasks))
         size = 6 + at.joints.shape[1] + sum(len(block) for block in values.values())
-        terms = [next(found) if views else Quadratic.zero(1, size) for views in self.views]
+        terms = [Quadratic.zero(1, size) if view is None else next(found) for view in self.views]
         return FrameFits.sharing(at, Quadratic.joined(terms), self.common, values)
 
     def _seen(self, stored: StoredFrame, number: int, values: Mapping[str, Float64]) -> ViewAsSeen:

@@ -14,7 +14,6 @@ from dvrk_cmaes.calibration.endoscope import InFrames
 from dvrk_cmaes.calibration.frame_fit import OF_NEW_FRAME, FrameFit, OwnEstimate, fit_frame
 from dvrk_cmaes.calibration.mask_growth import covariance_of_masks
 from dvrk_cmaes.calibration.model import outer_readings
-from dvrk_cmaes.calibration.session_masks import margins_of
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Bool, Float64, Indices, Posed, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
@@ -293,8 +292,8 @@ def fit_session_pose(
         return f"session: no reading of {', '.join(missing)}: searched without it"
     predicted = Prediction.of(session, outer, readings.values[None], instrument.joint_names, widened=1.0)
     expected = Expected.of(predicted.at[0], predicted.spread[0])
-    margins = margins_of(session.masks, [view.name for view in views])
-    refined = partial(fit_frame, views, config, expected, margins=margins, preset=OF_NEW_FRAME)
+    margin = 0.0 if session.masks is None else session.masks.taken_off
+    refined = partial(fit_frame, views, config, expected, margin=margin, preset=OF_NEW_FRAME)
     first, _ = refined((predicted.at[0],), None)
     fit, _ = refined((first.at,), OwnEstimate.of(views, first.at))
     of_views, rays = measure_views(views, readings, Posed.stacked([fit.at]), config)

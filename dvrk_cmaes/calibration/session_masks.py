@@ -37,7 +37,7 @@ _MARGIN_STEPS = 2  # linearisations of the outlines from whole masks to those le
 
 
 class MaskMargin(SeenBlock):
-    """The margin (1,), px, by which a segmenter makes all masks of a view too wide, from where estimates ``start``."""
+    """The margin (1,), px, by which a segmenter makes all masks too wide, from where estimates ``start``."""
 
     shared = True
 
@@ -60,7 +60,7 @@ class MaskMargin(SeenBlock):
 
 @dataclass(frozen=True)
 class Margin:
-    """The margin by which all masks of a view are too wide, its standard deviation, and whether it is taken off, px."""
+    """The margin by which all masks are too wide, its standard deviation, and whether it is taken off, px."""
 
     px: float
     std_px: float
@@ -73,22 +73,12 @@ class Margin:
 
 
 @dataclass(frozen=True)
-class ViewMargin(Document):
-    """The margin of a further view's masks, px, as that of the first one in `SessionMasks`."""
-
-    view: str
-    margin_px: Number
-    std_margin_px: Number
-    applied: bool
-
-
-@dataclass(frozen=True)
 class SessionMasks(Document):
     """What a session's frames tell of the errors that its masks share.
 
     margin_px : by how much the masks are too wide all round; negative if too narrow. std_margin_px : its standard
-    deviation. applied : whether the session was solved with masks less this margin. In a session of several views these
-    are of the first one, and ``further_views`` has those of the others.
+    deviation. applied : whether the session was solved with masks less this margin. In a session of several views it is
+    estimated in the first one.
     growth_px : mean errors, px, of both sides of the shaft (to the right of its direction towards the tip in the image,
     and to the left) and of what faces right, left, down and up, none below 0. rms_growth_px : the roots of their mean
     squares, with what is not known of them. error_squares : the mean squares (7, 7), px^2, of the margin that is left
@@ -98,22 +88,15 @@ class SessionMasks(Document):
     margin_px: Number
     std_margin_px: Number
     applied: bool
-    further_views: tuple[ViewMargin, ...] = ()
     growth_px: tuple[Number, ...] = ()
     rms_growth_px: tuple[Number, ...] = ()
     error_squares: tuple[tuple[Number, ...], ...] = ()
     by_errors: tuple[tuple[Number, ...], ...] = ()
 
     @classmethod
-    def of(
-        cls,
-        margins: Sequence[tuple[str, Margin]],
-        growth: GrowthEstimate | None = None,
-    ) -> SessionMasks:
-        """State the margins of the views, of which there is at least one, and the errors that frames share."""
-        (_, first), *others = margins
-        further = tuple(ViewMargin(view, margin.px, margin.std_px, margin.applied) for view, margin in others)
-        stated = cls(first.px, first.std_px, first.applied, further)
+    def of(cls, margin: Margin, growth: GrowthEstimate | None = None) -> SessionMasks:
+        """State the margin, and the errors that frames share."""
+        stated = cls(margin.px, margin.std_px, margin.applied)
         if growth is None:
             return stated
         return replace(
@@ -139,7 +122,7 @@ class SessionMasks(Document):
 
     @property
     def taken_off(self) -> float:
-        """Margin, px, that was taken off the masks of the first view."""
+        """Margin, px, that was taken off the masks."""
         return self.margin_px if self.applied else 0.0
 
     def check(self, where: str, unknowns: int) -> None:
@@ -170,47 +153,19 @@ class SessionMasks(Document):
         """
         return replace(self, by_errors=_rows(change @ np.array(self.by_errors))) if self.by_errors else self
 
-    def taken_off_in(self, view: str) -> float:
-        """Return the margin, px, that was taken off the masks of a view.
-
-        Parameters
-        ----------
-        view
-            Name of the view.
-        """
-        for other in self.further_views:
-            if other.view == view:
-                return other.margin_px if other.applied else 0.0
-        return self.taken_off
-
     def describe(self) -> str:
-        """Describe the margins that were taken off, or else the first one in words."""
-        margins = [Margin(self.margin_px, self.std_margin_px, self.applied)]
-        margins += [Margin(one.margin_px, one.std_margin_px, one.applied) for one in self.further_views]
-        named = zip(["", *(f" of the {one.view} eye" for one in self.further_views)], margins, strict=True)
-        parts = [_in_words(name, margin) for name, margin in named]
+        """Describe the margin and the errors on one side in words."""
+        than, done = "wide" if self.margin_px > 0 else "narrow", "taken off" if self.applied else "left as they are"
+        parts = [f"masks are {abs(self.margin_px):.2f} px (std {self.std_margin_px:.2f}) too {than} all round; {done}"]
         if self.rms_growth_px:
             parts.append(f"those that all masks share on one side are up to {max(self.rms_growth_px):.1f} px")
         return "; ".join(parts)
 
 
-def margins_of(masks: SessionMasks | None, views: Sequence[str]) -> tuple[float, ...]:
-    """Return the margins, px, that were taken off the masks of views, in their order; 0 if nothing is stated.
-
-    Parameters
-    ----------
-    masks
-        What a session states of its masks.
-    views
-        Names of the views.
-    """
-    return tuple(0.0 if masks is None else masks.taken_off_in(view) for view in views)
-
-
 def estimate_margin(arms: Sequence[ArmOutlines]) -> tuple[Margin, list[Calibration], list[Posed]]:
-    """Estimate the margin of a view's masks beside the calibrations and the camera, whose file counts as a measurement.
+    """Estimate the margin of the masks beside the calibrations and the camera, whose file counts as a measurement.
 
-    Arguments are as in `linearise`; the outlines are those of the view, with the margin among their blocks. Also
+    Arguments are as in `linearise`; the outlines are those of one view, with the margin among their blocks. Also
     returns the calibration and the poses (N) of each arm with masks less the margin, if it is clear, and the camera of
     the file: a change of the camera that is estimated beside the margin is not used.
     """
@@ -236,10 +191,3 @@ def estimate_margin(arms: Sequence[ArmOutlines]) -> tuple[Margin, list[Calibrati
 def _rows(matrix: Float64) -> tuple[tuple[float, ...], ...]:
     """Return a matrix as the document has it."""
     return tuple(map(tuple, matrix.tolist()))
-
-
-def _in_words(view: str, margin: Margin) -> str:
-    """Describe the margin of a view in words."""
-    than = "wide" if margin.px > 0 else "narrow"
-    done = "taken off" if margin.applied else "left as they are"
-    return f"masks{view} are {np.abs(margin.px):.2f} px (std {margin.std_px:.2f}) too {than} all round; {done}"

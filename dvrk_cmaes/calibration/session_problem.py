@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -45,7 +45,7 @@ from dvrk_cmaes.calibration.session_camera import (
     estimate_camera,
     file_deviations,
 )
-from dvrk_cmaes.calibration.session_masks import Margin, MaskMargin, SessionMasks, estimate_margin, margins_of
+from dvrk_cmaes.calibration.session_masks import Margin, MaskMargin, SessionMasks, estimate_margin
 from dvrk_cmaes.calibration.session_rig import ViewRotation
 from dvrk_cmaes.calibration.session_shaft import InstrumentSizes
 from dvrk_cmaes.calibration.solve import (
@@ -74,7 +74,7 @@ TESTED: Final[tuple[Callable[[EstimateConfig, Camera], SeenBlock], ...]] = (Lens
 LEAST_FRAMES = 3
 """Smallest number of frames from which an arm can be calibrated."""
 
-_ROLLED_ITERATIONS = 2  # first rounds, in which frames also start from poses rotated about the shaft
+_ROUNDS = 4  # in which frames and blocks are estimated in turn
 _NEAR = 1.0  # standard deviations per parameter, by which fits move to where the last solution expects them
 _CAMERA_PASSES = 2  # linearisations of the outlines about the camera between two fits of the frames
 _MOST_NAMED = 4
@@ -118,11 +118,11 @@ class ArmSession:
     lag takes out of these; ``cables`` are the fits of what cables do to readings, None before the first. ``stored`` is
     the frames' evidence and ``fits`` are their current fits, both empty before the first round. ``found`` is the
     current solution, None before the first one; ``start`` and ``moved`` (N) are the calibration and the poses from
-    which the next round starts, where a camera or margins were estimated since.
+    which the next round starts, where a camera or a margin was estimated since.
 
     ``change`` (3,) is that of the camera, as of `stored_frame.changed`, None where the camera's file is used, and
     ``of_change`` (3, 3) its covariance, None until it is estimated; ``rig`` what the further views differ in from the
-    file; ``margins`` those of the views' masks by name, empty until they are estimated; ``growth`` what is known of
+    file; ``margin`` that of the masks, None until it is estimated; ``growth`` what is known of
     their errors on some sides, None until estimated.
 
     ``remarks`` are about faults of the session as a whole that are put right, ``undetermined`` about what it does not
@@ -137,7 +137,7 @@ class ArmSession:
     rig: tuple[ViewRotation, ...] = ()
     change: Float64 | None = None
     of_change: Float64 | None = None
-    margins: tuple[tuple[str, Margin], ...] = ()
+    margin: Margin | None = None
     growth: GrowthEstimate | None = None
     cables: tuple[CableFit, CableFit] | None = None
     stored: tuple[StoredFrame, ...] = ()
@@ -205,7 +205,12 @@ class ArmSession:
     @property
     def masks(self) -> SessionMasks | None:
         """What is stated of errors that the masks share; None if their margin was not estimated."""
-        return SessionMasks.of(self.margins, self.growth) if self.margins else None
+        return None if self.margin is None else SessionMasks.of(self.margin, self.growth)
+
+    @property
+    def taken_off(self) -> float:
+        """Margin, px, that is taken off all masks."""
+        return 0.0 if self.masks is None else self.masks.taken_off
 
     @property
     def common(self) -> CommonErrors:
@@ -218,21 +223,18 @@ class ArmSession:
         fits = [fit if fit.explains_mask or keep_all else fit.without_outline() for fit in self.fits]
         return FrameFits.of(fits, self.common)
 
-    def views_as_blocks(self, view: str | None = None, *, file_tells: bool = False) -> SessionOutlines:
-        """Return the outlines of all frames in a view, as functions of the camera and the margin.
+    def view_as_blocks(self, *, file_is_prior: bool = False) -> SessionOutlines:
+        """Return the outlines of all frames in one view, as functions of the camera and the margin.
 
-        ``view`` is by default that of the reference camera; of another one if it does not show the instrument in any
-        frame. ``file_tells`` is whether the camera's file counts as a measurement.
+        The view is that of the reference camera; another one if that does not show the instrument in any frame.
+        ``file_is_prior`` is whether the camera's file is the prior of the camera.
         """
         shown = [stored for stored in self.stored if stored.in_reference] or self.stored
-        name = str(shown[0].views[0].name) if view is None else view
-        pairs = zip(self.fits, self.stored, strict=True)
+        name, pairs = str(shown[0].views[0].name), zip(self.fits, self.stored, strict=True)
         numbers = [stored.number_of(name) if fit.explains_mask else None for fit, stored in pairs]
-        file = file_deviations(self.stored[0].camera, self.setup.config.camera) if file_tells else None
-        camera = CameraChange(file, self.change)
-        margin = MaskMargin(0.0 if self.masks is None else self.masks.taken_off_in(name))
-        views = [() if number is None else (number,) for number in numbers]
-        return SessionOutlines(self.stored, views, self.setup.run, self.common, (camera, margin))
+        file = file_deviations(self.stored[0].camera, self.setup.config.camera) if file_is_prior else None
+        blocks = CameraChange(file, self.change), MaskMargin(self.taken_off)
+        return SessionOutlines(self.stored, numbers, self.setup.run, self.common, blocks)
 
     @property
     def disagreements(self) -> list[str]:
@@ -359,58 +361,30 @@ def in_pieces(arm: ArmSession, consensus: Consensus | None = None) -> ArmSession
     return None if found is None else replace(arm, model=replace(arm.model, endoscope=found[0]))
 
 
-class Round(NamedTuple):
-    """A round: its ``number`` of ``rounds``, the factor on the predictions' standard deviations, and what comes after.
-
-    That is to estimate the change of the camera, or the margins of the masks, in which the next round then fits.
-    """
-
-    number: int
-    rounds: int
-    scale: float
-    then: Literal["camera", "margins", ""]
-
-    @property
-    def last(self) -> bool:
-        """Whether it is the last one, whose fits are the results."""
-        return self.number + 1 == self.rounds
-
-
-def _rounds(setup: ArmSetup) -> list[Round]:
-    """Return the rounds of a session: standard deviations of predictions are widened by a factor that falls to 1."""
-    session = setup.config.session
-    scales = [*np.geomspace(session.loosened, 1.0, max(session.rounds - 1, 1)).tolist(), 1.0][: session.rounds]
-    if setup.refine_camera:
-        scales.append(1.0)  # with the camera that all rounds before have found
-    count = len(scales)
-    rounds = []
-    for number, scale in enumerate(scales):
-        then: Literal["camera", "margins", ""] = ""
-        if setup.refine_camera and number + 1 < count:
-            then = "camera"
-        elif not setup.refine_camera and number + 2 == count:
-            then = "margins"
-        rounds.append(Round(number, count, scale, then))
-    return rounds
-
-
 def solved(arms: Arms) -> Arms:
     """Alternate between fitting the frames of all arms and estimating the blocks that they share.
+
+    In the first two rounds the standard deviations of predictions are widened. Before the last one, whose fits are the
+    results, the margin of the masks is estimated, or the camera, where it is to be refined.
 
     Raises
     ------
     InputError
         Too few frames of an arm agree, or the camera is to be refined and its estimate is not plausible.
     """
+    setup = arms[0].setup
     arms = [_with_evidence(arm) for arm in arms]
-    for one in _rounds(arms[0].setup):
-        arms = _round(arms, one)
-        if one.then == "camera":
+    for number in range(1, _ROUNDS + 1):
+        for arm in arms:
+            arm.setup.progress(f"round {number} of {_ROUNDS}", len(arm.frames))
+        scale = setup.config.session.loosened ** max(1 - (number - 1) / 2, 0.0)
+        arms = _round(arms, scale, last=number == _ROUNDS)
+        if setup.refine_camera and number < _ROUNDS:
             arms = _with_camera(arms)
-        elif one.then == "margins":
-            arms = _with_margins(arms)
-        if one.then == "camera" and one.number + 2 == one.rounds:
-            _check_cameras_found(arms)
+        elif number == _ROUNDS - 1:
+            arms = _with_margin(arms)
+    if setup.refine_camera:
+        _check_cameras_found(arms)
     return _finished(arms)
 
 
@@ -423,36 +397,36 @@ def _with_evidence(arm: ArmSession) -> ArmSession:
     return replace(arm, stored=tuple(setup.gathered[frame.name] for frame in arm.frames))
 
 
-def _round(arms: Arms, one: Round) -> Arms:
-    """Fit all frames to what the blocks predict, and estimate these from the fits."""
-    for arm in arms:
-        arm.setup.progress(f"round {one.number + 1} of {one.rounds}", len(arm.frames))
-    fitted = [_fitted_in(arm, one) for arm in arms]
+def _round(arms: Arms, scale: float, *, last: bool) -> Arms:
+    """Fit all frames to what the blocks predict, and estimate these from the fits.
+
+    ``scale`` is a factor on the standard deviations of the predictions. Fits that do not explain the mask only count
+    where these are widened.
+    """
+    fitted = [_fitted_in(arm, scale, last=last) for arm in arms]
     try:
-        # Fits that do not explain the mask are only excluded once the prior is no longer widened.
-        return _estimated(fitted, keep_all=one.scale != 1.0)
+        return _estimated(fitted, keep_all=scale != 1.0)
     except InputError as error:
-        if arms[0].setup.refine_camera and one.number:
+        if arms[0].setup.refine_camera and arms[0].of_change is not None:
             raise arms[0].camera_refused(IMPLAUSIBLE) from error
         raise
 
 
-def _fitted_in(arm: ArmSession, one: Round) -> ArmSession:
+def _fitted_in(arm: ArmSession, scale: float, *, last: bool) -> ArmSession:
     """Fit the frames of an arm in a round, each from its starts."""
     angle = float(np.deg2rad(arm.setup.config.session.turn_deg))
-    expected = arm.model.priors(arm.calibration, scale=one.scale)
+    expected = arm.model.priors(arm.calibration, scale=scale)
     misfit = arm.solution.misfit / (6 + len(arm.model.names))
     if not arm.fits:
         chosen = choose_modes(arm.model, arm.modes, arm.solution.calibration)
         pairs = zip(arm.modes, chosen, misfit, expected, strict=True)
-        return _fitted(arm, expected, [first_starts(*of_frame, angle) for of_frame in pairs], last=one.last)
-    turn = angle if one.number < _ROLLED_ITERATIONS else None
+        return _fitted(arm, expected, [first_starts(*of_frame, angle) for of_frame in pairs], last=last)
     starts = []
     for i, fit in enumerate(arm.fits):
         own = float(misfit[i]) if fit.explains_mask else np.inf
-        changed = None if arm.moved is None else arm.moved[i]
-        starts.append(next_starts(fit, own, expected[i], turn, last=one.last, changed=changed))
-    return _fitted(arm, expected, starts, last=one.last)
+        moved = None if arm.moved is None else arm.moved[i]
+        starts.append(next_starts(fit, own, expected[i], angle, moved))
+    return _fitted(arm, expected, starts, last=last)
 
 
 def _fitted(
@@ -463,8 +437,7 @@ def _fitted(
     The others keep the linearisation of their outline, whose minimum is their fit in the ``last`` round.
     """
     again = [i for i, of_frame in enumerate(starts) if of_frame]
-    margins = [margins_of(arm.masks, [view.name for view in arm.stored[i].views]) for i in again]
-    tasks = [(arm.stored[i], expected[i], starts[i], arm.change, own) for i, own in zip(again, margins, strict=True)]
+    tasks = [(arm.stored[i], expected[i], starts[i], arm.change, arm.taken_off) for i in again]
     fits: dict[int, FrameFit] = dict(enumerate(arm.fits))
     if last:
         fits = {i: fit.moved_to(expected[i]) for i, fit in fits.items()}
@@ -520,7 +493,7 @@ def _with_refined_lags(arms: Arms, fits: Sequence[FrameFits]) -> Arms:
         if not refined:
             continue
         late = [(lags[k], ArmFrames(arms[k].model, fits[k], arms[k].solution.calibration)) for k in refined]
-        found = refine_lag(late, lags[refined[0]].values)
+        found = refine_lag(late, lags[refined[0]].value)
         new = [lags[k].with_estimate(found) for k in refined]
         if all(lag.all_have_readings for lag in new):
             for k, lag in zip(refined, new, strict=True):
@@ -550,7 +523,7 @@ def _with_camera(arms: Arms) -> Arms:
     """Estimate the change of the camera, and use it where it is plausible; else there is no covariance of it."""
     out = list(arms)
     for group in _by_camera(arms):
-        seen = [_as_outlines(arms[k], arms[k].views_as_blocks()) for k in group]
+        seen = [_as_outlines(arms[k], arms[k].view_as_blocks()) for k in group]
         estimates = estimate_camera(seen, arms[group[0]].setup.config, passes=_CAMERA_PASSES)
         for k, own in zip(group, estimates, strict=True):
             out[k] = replace(arms[k], of_change=None)
@@ -569,20 +542,16 @@ def _check_cameras_found(arms: Arms) -> None:
             raise arm.camera_refused(IMPLAUSIBLE)
 
 
-def _with_margins(arms: Arms) -> Arms:
-    """Estimate the margin of each view's masks, and take it off if it is clear."""
+def _with_margin(arms: Arms) -> Arms:
+    """Estimate the margin of the masks, and take it off if it is clear."""
     out = list(arms)
     for group in _by_camera(arms):
-        shown = {k: {view.name for stored in arms[k].stored for view in stored.views} for k in group}
-        names = dict.fromkeys(view.name for k in group for stored in arms[k].stored for view in stored.views)
-        for name in names:
-            members = [k for k in group if name in shown[k]]
-            seen = [_as_outlines(arms[k], arms[k].views_as_blocks(name, file_tells=True)) for k in members]
-            margin, calibrations, at = estimate_margin(seen)
-            for k, own, moved in zip(members, calibrations, at, strict=True):
-                out[k] = replace(out[k], margins=(*out[k].margins, (name, margin)))
-                if margin.applied and out[k].start is None:
-                    out[k] = replace(out[k], start=own, moved=moved)
+        seen = [_as_outlines(arms[k], arms[k].view_as_blocks(file_is_prior=True)) for k in group]
+        margin, calibrations, at = estimate_margin(seen)
+        for k, own, moved in zip(group, calibrations, at, strict=True):
+            out[k] = replace(arms[k], margin=margin)
+            if margin.applied:
+                out[k] = replace(out[k], start=own, moved=moved)
     return out
 
 
@@ -612,10 +581,10 @@ def checked(arms: Arms) -> list[tuple[ArmSession, CameraCheck]]:
         seen = []
         for arm in (arms[k] for k in group):
             arm.setup.progress("checking the camera", len(arm.frames))
-            outlines, config = arm.views_as_blocks(), arm.setup.config
+            outlines, config = arm.view_as_blocks(), arm.setup.config
             offsets = [fit.side_offsets for fit in arm.fits if fit.explains_mask and fit.side_offsets is not None]
             outwards = max(0.0, *np.mean(offsets, axis=0).tolist()) if offsets else 0.0
-            growth = MaskGrowth(outwards, 0.0 if arm.masks is None else arm.masks.taken_off)
+            growth = MaskGrowth(outwards, arm.taken_off)
             tested = growth, InstrumentSizes(arm.setup.instrument), *(make(config, outlines.camera) for make in TESTED)
             seen.append(_as_outlines(arm, replace(outlines, blocks=(*outlines.blocks, *tested))))
         checks = check_camera(seen, arms[group[0]].setup.config, applied=arms[group[0]].change)

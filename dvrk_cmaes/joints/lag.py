@@ -10,10 +10,7 @@ import re
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import numpy as np
-
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.rounding import rounded
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.io.typed_document import Number
@@ -31,10 +28,8 @@ _TEXT = re.compile(r"([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?) ?(s|frames?)?")
 class Lag:
     """Lag of the images behind the readings, in frames, in seconds, or in both.
 
-    ``std_frames`` and ``std_seconds`` are its standard deviations. ``drift`` is the change of the lag by time, which is
-    not zero where the two clocks run at different rates; the lag is that of the time ``middle``, in seconds or, without
-    times, in frames. ``applied``: whether the lag was taken out of the readings; a lag
-    that does not differ significantly from zero is not.
+    ``std_frames`` and ``std_seconds`` are its standard deviations. ``applied``: whether the lag was taken out of the
+    readings; a lag that does not differ significantly from zero is not.
     """
 
     frames: Number | None = None
@@ -42,9 +37,6 @@ class Lag:
     seconds: Number | None = None
     std_seconds: Number | None = None
     applied: bool = True
-    drift: Number = 0.0
-    std_drift: Number | None = None
-    middle: Number = 0.0
 
     @classmethod
     def of(cls, value: float, std: float, unit: Unit, interval: float, *, applied: bool) -> Lag:
@@ -96,12 +88,11 @@ class Lag:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the lag in the documented schema, ready for JSON."""
-        omitted = ("applied",) if self.drift else ("applied", "drift", "middle")
-        values = {name: value for name, value in vars(self).items() if value is not None and name not in omitted}
+        values = {name: value for name, value in vars(self).items() if value is not None and name != "applied"}
         return {**{name: rounded(value) for name, value in values.items()}, "sign": SIGN, "applied": self.applied}
 
     def in_unit(self, unit: Unit) -> float:
-        """Return the lag at ``middle`` in a unit; InputError if it is not known in this unit.
+        """Return the lag in a unit; InputError if it is not known in this unit.
 
         Parameters
         ----------
@@ -120,7 +111,7 @@ class Lag:
         )
 
     def in_seconds(self, rate: float) -> float:
-        """Return the lag at ``middle`` in seconds, for a recording with a number of frames a second.
+        """Return the lag in seconds, for a recording with a number of frames a second.
 
         Parameters
         ----------
@@ -128,18 +119,6 @@ class Lag:
             Frames a second.
         """
         return self.seconds if self.seconds is not None else (self.frames or 0.0) / rate
-
-    def at(self, times: Float64, unit: Unit) -> Float64:
-        """Return the lag at times (N,) of images, all in a unit; errors as `in_unit`.
-
-        Parameters
-        ----------
-        times
-            Times (N,) of images, in ``unit``.
-        unit
-            ``s`` or ``frames``.
-        """
-        return np.asarray(self.in_unit(unit) + self.drift * (times - self.middle))
 
     def describe(self) -> str:
         """Describe the lag in words: its amount in frames and seconds, its sign, and its standard deviation."""
@@ -150,8 +129,7 @@ class Lag:
         if self.frames is not None and seconds is not None:
             amount = f"{amount} ({seconds})"
         std = "" if self.std_frames is None else f", std {self.std_frames:.2f} frames"
-        drift = f", drifting by {1e3 * self.drift:+z.2f} parts per thousand" if self.drift else ""
-        return f"images are {amount} {'later' if value > 0 else 'earlier'} than the readings{std}{drift}"
+        return f"images are {amount} {'later' if value > 0 else 'earlier'} than the readings{std}"
 
     @property
     def text(self) -> str:

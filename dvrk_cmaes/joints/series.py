@@ -71,7 +71,7 @@ class ReadingSeries:
             The lag is not known in the unit of the series.
         """
         time = np.array([self.frames[name]])
-        at = time - lag.at(time + self.origin, self.unit)
+        at = time - lag.in_unit(self.unit)
         found = self.at(tuple(self.values), at)[0]
         return {joint: float(value) for joint, value in zip(self.values, found, strict=True) if not np.isnan(value)}
 

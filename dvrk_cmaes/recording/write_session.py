@@ -117,8 +117,8 @@ def write_session(
     tolerance
         Largest distance in time between an image and the readings before and after it, s.
     lag
-        Lag of the images behind the readings, in seconds, and its drift: an image gets the readings of this much
-        earlier. By default none.
+        Lag of the images behind the readings, in seconds: an image gets the readings of this much earlier. By default
+        none.
     overwrite
         Replace an existing session.
     masks
@@ -173,8 +173,7 @@ def write_session(
                 warnings = (*warnings, f"the images do not fit the camera: {error}")
             write_text(folder / SESSION_FILE, session_toml(cameras, tools))
     seconds = 0.0 if lag is None else lag.in_unit("s")
-    drift = f", drifting by {lag.drift:+z.3g} s a second" if lag is not None and lag.drift else ""
-    late = [f"readings of {seconds:g} s before each image{drift}"] if seconds else []
+    late = [f"readings of {seconds:g} s before each image"] if seconds else []
     notes = (*recording.notes, *said, *late)
     if recording.right is not None:
         away = f"images at most {1e3 * max(apart) / NANOSECONDS:.1f} ms after or before those of the left"
@@ -211,13 +210,10 @@ def _check_times(path: Path, names: Sequence[str], times: Sequence[int]) -> tupl
 
 def _earlier(times: Sequence[int], lag: Lag) -> list[int]:
     """Return the times, ns, at which what images of some times show was read."""
-    late = lag.at(np.array(times) / NANOSECONDS, "s")
-    if np.abs(late).max() > LARGEST_SECONDS:
-        raise InputError(
-            f"lag: expected at most {LARGEST_SECONDS:g} s in magnitude, got {late[np.abs(late).argmax()]:g} s by its "
-            "drift (another clock than that of the calibrated session?)"
-        )
-    return [time - round(float(seconds) * NANOSECONDS) for time, seconds in zip(times, late, strict=True)]
+    seconds = lag.in_unit("s")
+    if abs(seconds) > LARGEST_SECONDS:
+        raise InputError(f"lag: expected at most {LARGEST_SECONDS:g} s in magnitude, got {seconds:g} s")
+    return [time - round(seconds * NANOSECONDS) for time in times]
 
 
 def _arm_of(readings: Sequence[TimedReadings]) -> str | None:

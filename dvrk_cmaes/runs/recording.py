@@ -190,7 +190,7 @@ def _sparseness(recorded: RecordedFrames, session: SessionCalibration) -> list[S
     read = ~np.isnan(values).any(axis=1)
     for own in recorded.files:
         time = series.frames.get(own.name, np.nan)
-        late = 0.0 if lag is None or np.isnan(time) else float(lag.at(np.array([time]) + series.origin, series.unit)[0])
+        late = 0.0 if lag is None else lag.in_unit(series.unit)
         known = bool(read.any()) and not np.isnan(time)
         found.append(Sparseness.of(stamps[read], values[read], time - late) if known else Sparseness.none())
     return found

@@ -23,7 +23,7 @@ from dvrk_cmaes.calibration.frame_fit import (
     OwnEstimate,
     fit_frame,
 )
-from dvrk_cmaes.calibration.session_masks import SessionMasks, margins_of
+from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
@@ -99,7 +99,7 @@ def fit_near(
     before : (D,)
         Deviation of the frame before from its prediction; None without one.
     masks
-        States the margin that is taken off each view's mask.
+        States the margin that is taken off the masks.
     lengths
         Correlation lengths, px, of the contours of images before, by view. They are given while images come: the fit is
         then found in few drawings.
@@ -108,12 +108,12 @@ def fit_near(
     if before is not None:
         apart = float(np.sqrt(before @ expected.information @ before / len(before)))
         starts = [expected.mean.moved(before), *(starts if apart > _ANOTHER_START else ())]
-    margins, preset = margins_of(masks, names), FOLLOWED
+    margin, preset = 0.0 if masks is None else masks.taken_off, FOLLOWED
     if lengths is None:
-        return fit_frame(views, config, expected, starts, margins=margins, preset=preset)
+        return fit_frame(views, config, expected, starts, margin=margin, preset=preset)
     preset = FROM_PREDICTION if before is None else WHILE_RUNNING if len(starts) == 1 else FROM_TWO_STARTS
     of_views = [lengths.get(name, config.refine.outline.correlation) for name in names]
-    return fit_frame(views, config, expected, starts, margins=margins, lengths=of_views, preset=preset)
+    return fit_frame(views, config, expected, starts, margin=margin, lengths=of_views, preset=preset)
 
 
 def fit_followed(
@@ -216,7 +216,7 @@ def fit_block(
 ) -> list[FittedFrame | None]:
     """Fit consecutive frames, each from its prediction and from that changed as the frame before was.
 
-    ``masks`` has the margins that are taken off the masks, by view. With ``colours`` of the views, by name, masks are
+    ``masks`` has the margin that is taken off the masks. With ``colours`` of the views, by name, masks are
     found in the images of views that have none. None stands for a frame whose masks or images show nothing of the
     instrument where it is expected.
     """

@@ -22,11 +22,10 @@ from dvrk_cmaes import (
     SolvedSession,
     calibrate_session,
 )
-from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.evaluate.pose_error import compare_poses
 from dvrk_cmaes.synth.truth import Truth
 
-ROUGH = EstimateConfig(session=SessionConfig(rounds=1))
+ROUGH = EstimateConfig()
 """Settings for tests of the checks before the frames' outlines are used: a single alternation."""
 
 
@@ -69,7 +68,7 @@ def made(bundled_body: Body) -> Made:
     solved = calibrate_session(
         frames,
         bundled_body,
-        config=EstimateConfig(session=SessionConfig(rounds=2)),
+        config=EstimateConfig(),
         progress=lambda stage, count: stages.append((stage, count)),
     )
     return Made(bundled_body, base, truths, frames, solved, stages)

@@ -8,7 +8,6 @@ from helpers.session_worlds import in_other_mode, make_frames_in_memory, with_re
 from helpers.transforms import rotation_angle
 
 from dvrk_cmaes import Body, EstimateConfig, SessionFrame, SolvedSession, calibrate_session
-from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.evaluate.pose_error import compare_poses
 from dvrk_cmaes.synth.truth import Truth
 
@@ -36,7 +35,7 @@ def world(bundled_body: Body) -> World:
 
 @pytest.fixture(scope="module")
 def solved(bundled_body: Body, world: World) -> SolvedSession:
-    return calibrate_session(world[2], bundled_body, config=EstimateConfig(session=SessionConfig(rounds=2)))
+    return calibrate_session(world[2], bundled_body, config=EstimateConfig())
 
 
 def test_one_warning_says_that_wrist_readings_never_move(solved: SolvedSession) -> None:

@@ -27,12 +27,11 @@ def moving_world(
     *,
     count: int = ROWS,
     every: int = 6,
-    drift: float = 0.0,
     noise: float = 0.3,
 ) -> tuple[World, SessionLag, list[list[Mode]]]:
     """Make a smooth motion read at 30 Hz, and frames at every 6th row whose images are ``lag`` rows late.
 
-    The lag is that of the middle frame and drifts. The noise of the readings is in standard deviations of the model's.
+    The noise of the readings is in standard deviations of the model's.
     """
     rng = np.random.default_rng(seed)
     blank = make_world(2, seed)
@@ -54,7 +53,7 @@ def moving_world(
         {f"{int(frame):04d}": float(frame) for frame in frames},
         1.0,
     )
-    read_at = frames - lag - drift * (frames - (frames[0] + frames[-1]) / 2)
+    read_at = frames - lag
     shown = true_readings(read_at)
     at = SessionModel(shown[:, :4], shown[:, 4:], NAMES, blank.model.deviations).predict(blank.truth)
     clock = SessionLag.of(series, list(series.frames), blank.model.deviations.outer)
@@ -65,22 +64,15 @@ def moving_world(
     return world, clock, world.modes(rng)
 
 
-def only(lag: float, drift: float = 0.0) -> np.ndarray:
-    """A lag, and its drift."""
-    return np.array([lag, drift])
-
-
-def refined_near(
-    lag: float, world: World, clock: SessionLag, modes: list[list[Mode]], free: tuple[int, ...] = (0,)
-) -> tuple[np.ndarray, np.ndarray]:
-    """Refine some values of a lag, from the whole frame nearest to it; returns these, and standard deviations."""
-    start = only(round(lag))
+def refined_near(lag: float, world: World, clock: SessionLag, modes: list[list[Mode]]) -> Refined:
+    """Refine a lag from the whole frame nearest to it."""
+    start = float(round(lag))
     model = clock.model_at(world.model, start)
     found = find_consensus(model, modes, hypothesis_frames=6)
     frames = ArmFrames(model, fits_of(modes), found.calibration)
-    refined = refine_lag([(clock, frames)], start, drift=len(free) > 1)
+    refined = refine_lag([(clock, frames)], start)
     assert refined is not None
-    return refined.values[[*free]], refined.std[[*free]]
+    return refined
 
 
 def found_lag(lag: float, world: World, clock: SessionLag, modes: list[list[Mode]]) -> tuple[float, float]:
@@ -112,7 +104,7 @@ def test_noise_of_the_readings_does_not_draw_the_lag_to_the_middle_between_two_r
 def test_stated_standard_deviation_covers_the_error() -> None:
     errors = []
     for seed in range(8):
-        (value,), (std,) = refined_near(1.7, *moving_world(1.7, seed))
+        value, std = refined_near(1.7, *moving_world(1.7, seed))
         errors.append(abs(value - 1.7) / std)
     assert max(errors) < 2
     # these frames share no errors, which the standard deviation allows for
@@ -131,7 +123,7 @@ def test_arm_that_hardly_moves_determines_no_lag() -> None:
     world, clock, _ = moving_world(3.0, seed=3)
     slow = {name: values.mean() + 1e-3 * (values - values.mean()) for name, values in clock.series.values.items()}
     still = SessionLag.of(replace(clock.series, values=slow), list(clock.series.frames), world.model.deviations.outer)
-    model = still.model_at(world.model, only(0.0))
+    model = still.model_at(world.model, 0.0)
     held = replace(world, model=model, at=model.predict(world.truth))
     own = held.modes(np.random.default_rng(0))
     found = still.searched(held.model, own)
@@ -140,7 +132,7 @@ def test_arm_that_hardly_moves_determines_no_lag() -> None:
 
 
 def described(clock: SessionLag, value: float, std: float) -> Lag:
-    lag = clock.decided(Refined(only(value), only(std)))
+    lag = clock.decided(Refined(value, std))
     assert isinstance(lag, Lag)
     return lag
 
@@ -151,33 +143,15 @@ def test_lag_is_applied_only_if_it_differs_from_zero() -> None:
     assert not described(clock, 0.5, 0.3).applied
     assert described(clock, 0.5, 0.1).applied
     assert described(clock, -1.0, 0.2).applied
-    undetermined = clock.decided(Refined(only(4.0), only(1.5)))
+    undetermined = clock.decided(Refined(4.0, 1.5))
     assert undetermined == (
         "standard deviation 1.5 frames; a recording in which the arm moves quickly would determine it"
     )
 
 
-@pytest.mark.parametrize("drift", [1.5e-3, -1.5e-3])
-def test_clocks_that_run_at_different_rates_make_the_lag_drift(drift: float) -> None:
-    world, clock, modes = moving_world(3.0, seed=5, count=1800, every=30, drift=drift)
-    value, std = refined_near(3.0, world, clock, modes, (0, 1))
-    assert value[0] == pytest.approx(3.0, abs=0.3)
-    assert value[1] == pytest.approx(drift, abs=3e-4)
-    lag = estimated(world, clock, modes)
-    assert (lag.drift, lag.std_drift) == pytest.approx((value[1], std[1]), rel=0.3)
-
-
-def estimated(world: World, clock: SessionLag, modes: list[list[Mode]]) -> Lag:
-    """The lag that the frames' modes tell."""
-    estimate = SessionLag.of(clock.series, list(clock.series.frames), world.model.deviations.outer)
-    lag = estimate.searched(world.model, modes).lag
-    assert lag is not None
-    return lag
-
-
 def test_true_calibration_is_recovered_at_the_lag() -> None:
     world, clock, modes = moving_world(3.0, seed=4)
-    right: Calibration = find_consensus(clock.model_at(world.model, only(3.0)), modes).calibration
+    right: Calibration = find_consensus(clock.model_at(world.model, 3.0), modes).calibration
     wrong: Calibration = find_consensus(world.model, modes).calibration
     off = [np.linalg.norm(one.camera_from_base[:3, 3] - world.truth.camera_from_base[:3, 3]) for one in (right, wrong)]
     assert off[0] < off[1]

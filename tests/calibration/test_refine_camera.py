@@ -18,13 +18,12 @@ from dvrk_cmaes import (
     calibrate_session,
     estimate,
 )
-from dvrk_cmaes.config import SessionConfig
 
 SCALE = 1.1
 """True focal length, relative to that of the file."""
 
 WRONG = SMALL.changed(1 / SCALE, (0.0, 0.0))
-SETTINGS = EstimateConfig(session=SessionConfig(rounds=2))
+SETTINGS = EstimateConfig()
 
 
 def as_seen_with(frame: SessionFrame) -> SessionFrame:

@@ -57,7 +57,7 @@ def check(
         stored.append(StoredFrame.of(one.data.with_camera(wrong), at[k], body, EstimateConfig()))
     outlines = SessionOutlines(
         stored,
-        [(0,)] * len(frames),
+        [0] * len(frames),
         lambda function, tasks: [function(body, EstimateConfig(), task) for task in tasks],
         CommonErrors(np.full(len(frames), np.nan), np.zeros((len(frames), 6 + len(names)))),
         (CameraChange(), MaskMargin()),

@@ -20,12 +20,11 @@ from dvrk_cmaes import (
     calibrate_session,
     estimate,
 )
-from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.synth.truth import Truth
 
 RIGHT_FROM_LEFT = transform(np.eye(3), [-0.0053, 0.0, 0.0])
 RIG = Rig.stereo(SMALL, SMALL, RIGHT_FROM_LEFT)
-SETTINGS = EstimateConfig(session=SessionConfig(rounds=2))
+SETTINGS = EstimateConfig()
 
 
 def seen_by_both(body: Body, frame: SessionFrame, truth: Truth, *, left: bool = True) -> SessionFrame:

@@ -28,7 +28,7 @@ pytestmark = pytest.mark.usefixtures("tasks_here")
 
 Command = Callable[..., Ran]
 
-SETTINGS = QUICK + "[session]\nrounds = 1\n"
+SETTINGS = QUICK
 
 
 @pytest.fixture(scope="module")

@@ -111,7 +111,7 @@ def two_arms(bundled_body: Body, tmp_path_factory: pytest.TempPathFactory) -> Pa
         (place / arm / "results").rename(place / "results" / arm)
         lines.append(f'[[tool]]\narm = "{arm}"\nmasks = "masks_{arm}"\njoints = "joints_{arm}.csv"')
     (place / "session" / "session.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    (place / "settings.toml").write_text(QUICK + "[session]\nrounds = 1\n", encoding="utf-8")
+    (place / "settings.toml").write_text(QUICK, encoding="utf-8")
     return place
 
 

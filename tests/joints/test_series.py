@@ -76,8 +76,6 @@ def test_readings_of_a_frame_are_those_of_its_time_less_the_lag(tmp_path: Path) 
     assert series is not None
     assert series.origin == pytest.approx(100.3)
     assert series.of_frame("0006", Lag(None, seconds=0.25)) == {"yaw": pytest.approx(0.35)}
-    drifting = Lag(None, seconds=0.25, drift=0.1, middle=99.6)
-    assert series.of_frame("0006", drifting) == {"yaw": pytest.approx(0.25)}
     assert series.of_frame("0003", Lag(None, seconds=0.5)) == {}
     with pytest.raises(InputError, match="expected a lag in seconds"):
         series.of_frame("0003", Lag(2.0))
