@@ -257,7 +257,7 @@ def _of_views(predicted: Mapping[str, LeaveOneOutPrediction]) -> dict[str, dict[
 
 def _endoscope(arm: ArmSession, check: CameraCheck) -> SessionEndoscope | None:
     """Return what a session tells of an endoscope that moves; None of one that stands still."""
-    given_camera = replace(arm.solution, of_growth=None).covariance
+    given_camera = replace(arm.solution, of_masks=None).covariance
     return SessionEndoscope.of(
         arm.model,
         arm.solution.calibration,
@@ -339,18 +339,18 @@ def reported(arm: ArmSession, camera_errors: Float64) -> tuple[list[FrameReport]
     InputError
         Too few frames agree with the calibration.
     """
-    setup, model, solution, growth = arm.setup, arm.model, arm.solution, arm.growth
+    setup, model, solution, bias = arm.setup, arm.model, arm.solution, arm.bias
     setup.progress("leaving one out", len(arm.frames))
     disagreements = arm.disagreements
     arm.check_agreement(disagreements)
     named = zip(arm.frames, disagreements, strict=True)
     reasons = {**arm.left_out, **{frame.name: text for frame, text in named if text}}
     # what errors of all masks do to a frame is told with what they do to its own mask
-    covariances = frame_covariances(model, FrameFits.of(arm.fits), replace(solution, of_growth=None))
+    covariances = frame_covariances(model, FrameFits.of(arm.fits), replace(solution, of_masks=None))
     bases, tasks = arm.model.base_from_root(solution.calibration.offsets), []
     for i, (result, covariance) in enumerate(zip(_results(arm), covariances, strict=True)):
-        if growth is not None:
-            covariance += growth.of_frames[i] @ growth.squares @ growth.of_frames[i].T
+        if bias is not None:
+            covariance += bias.of_frames[i] @ bias.squares @ bias.of_frames[i].T
         tasks.append(_report_task(arm, i, result, (covariance, camera_errors), bases[i], disagreements[i]))
     return setup.run(report_task, tasks), reasons
 

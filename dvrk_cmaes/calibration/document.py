@@ -419,7 +419,7 @@ def describe_solution(
     names = (*OUTER_OFFSETS, *model.names)
     deviations, own = model.deviations, slice(len(BASE_AXES) + len(names))
     # those who expect images of the session add what errors of all masks do to what is seen there
-    given_camera = replace(solution, of_growth=None).covariance[own, own]
+    given_camera = replace(solution, of_masks=None).covariance[own, own]
     covariance = (solution.covariance + of_camera)[own, own]
     std = np.sqrt(np.diag(covariance))
     # from frame to frame, for those who correct by the offsets only

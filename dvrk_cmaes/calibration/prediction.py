@@ -12,8 +12,8 @@ import numpy as np
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import InFrames
 from dvrk_cmaes.calibration.frame_fit import OF_NEW_FRAME, FrameFit, OwnEstimate, fit_frame
-from dvrk_cmaes.calibration.mask_growth import covariance_of_masks
 from dvrk_cmaes.calibration.model import outer_readings
+from dvrk_cmaes.calibration.session_masks import covariance_of_masks
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Bool, Float64, Indices, Posed, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS

@@ -24,8 +24,8 @@ from dvrk_cmaes.calibration.linearise import (
     SessionOutlines,
     linearise,
 )
-from dvrk_cmaes.calibration.mask_growth import GROWTH, GrowthEstimate, MaskGrowth, estimate_growth
 from dvrk_cmaes.calibration.model import SessionModel
+from dvrk_cmaes.calibration.session_masks import BIAS, BiasEstimate, MaskBias, estimate_bias
 from dvrk_cmaes.calibration.session_shaft import SessionShaft
 from dvrk_cmaes.calibration.solve import inverse_information
 from dvrk_cmaes.calibration.stored_frame import changed
@@ -274,7 +274,7 @@ class CameraCheck:
 
     ``camera`` is None where the session does not test it, and ``undetermined`` then says why. ``covariance`` (K, K) is
     the mean square of the calibration's errors, in the order of `SessionModel.axes`, that errors of the camera cause.
-    ``growth`` and ``shaft`` are what the outlines tell of errors of the masks on some sides, beside the camera, and of
+    ``bias`` and ``shaft`` are what the outlines tell of errors of the masks on some sides, beside the camera, and of
     the radius of the shaft, with the camera of the file; None where the camera cannot be changed. ``blocks`` are what
     is found of those that state themselves (`SeenBlock.stated`). ``square`` (3, 3)
     is the mean square of what is wrong with the camera that was used; None where it is not tested.
@@ -283,7 +283,7 @@ class CameraCheck:
     camera: SessionCamera | None
     undetermined: str
     covariance: Float64
-    growth: GrowthEstimate | None = None
+    bias: BiasEstimate | None = None
     shaft: SessionShaft | None = None
     blocks: Mapping[str, FoundBlock] = field(default_factory=dict)
     square: Float64 | None = None
@@ -376,12 +376,12 @@ def _checked(
     calibration, file = there.solution.calibration, file_deviations(outlines.camera, config.camera)
     own, count = calibration.place(CAMERA), calibration.own
     change, covariance, known = there.value(CAMERA), there.covariance[own, own], {CAMERA: file}
-    growth, shaft = None, None
+    bias, shaft = None, None
     for block in outlines.blocks:
-        if isinstance(block, MaskGrowth):
-            growth = estimate_growth(there, block, known if applied is None else {})
-            change, covariance = growth.values[own], growth.covariance[own, own]
-            known = {**known, GROWTH: growth.std_px}
+        if isinstance(block, MaskBias):
+            bias = estimate_bias(there, block, known if applied is None else {})
+            change, covariance = bias.values[own], bias.covariance[own, own]
+            known = {**known, BIAS: bias.std_px}
             shaft = SessionShaft.of(there, known)
     blocks, of_blocks = _stated(there, outlines.blocks, known, config.session.shared_errors)
     covariance = config.session.shared_errors**2 * covariance
@@ -397,8 +397,8 @@ def _checked(
     moves = -inverse_information(there.information[:count, :count]) @ there.information[:count, own]
     of_camera = moves @ square @ moves.T + of_blocks
     if reason is not None:
-        return CameraCheck(None, reason, of_camera, growth, shaft, blocks)
-    return CameraCheck(camera, "", of_camera, growth, shaft, blocks, square)
+        return CameraCheck(None, reason, of_camera, bias, shaft, blocks)
+    return CameraCheck(camera, "", of_camera, bias, shaft, blocks, square)
 
 
 def _mean_square(change: Float64, covariance: Float64, file: Float64) -> Float64:

@@ -32,7 +32,6 @@ from dvrk_cmaes.calibration.frame_fit import FrameFit, first_starts, next_starts
 from dvrk_cmaes.calibration.frame_task import Run, SessionFrame, fit_task, gather_task, with_changed_cameras
 from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, SessionLag, in_common, refine_lag
 from dvrk_cmaes.calibration.linearise import ArmOutlines, SessionOutlines
-from dvrk_cmaes.calibration.mask_growth import GrowthEstimate, MaskGrowth
 from dvrk_cmaes.calibration.model import Deviations, SessionModel
 from dvrk_cmaes.calibration.session_camera import (
     CAMERA,
@@ -45,7 +44,14 @@ from dvrk_cmaes.calibration.session_camera import (
     estimate_camera,
     file_deviations,
 )
-from dvrk_cmaes.calibration.session_masks import Margin, MaskMargin, SessionMasks, estimate_margin
+from dvrk_cmaes.calibration.session_masks import (
+    BiasEstimate,
+    Margin,
+    MaskBias,
+    MaskMargin,
+    SessionMasks,
+    estimate_margin,
+)
 from dvrk_cmaes.calibration.session_rig import ViewRotation
 from dvrk_cmaes.calibration.session_shaft import InstrumentSizes
 from dvrk_cmaes.calibration.solve import (
@@ -122,7 +128,7 @@ class ArmSession:
 
     ``change`` (3,) is that of the camera, as of `stored_frame.changed`, None where the camera's file is used, and
     ``of_change`` (3, 3) its covariance, None until it is estimated; ``rig`` what the further views differ in from the
-    file; ``margin`` that of the masks, None until it is estimated; ``growth`` what is known of
+    file; ``margin`` that of the masks, None until it is estimated; ``bias`` what is known of
     their errors on some sides, None until estimated.
 
     ``remarks`` are about faults of the session as a whole that are put right, ``undetermined`` about what it does not
@@ -138,7 +144,7 @@ class ArmSession:
     change: Float64 | None = None
     of_change: Float64 | None = None
     margin: Margin | None = None
-    growth: GrowthEstimate | None = None
+    bias: BiasEstimate | None = None
     cables: tuple[CableFit, CableFit] | None = None
     stored: tuple[StoredFrame, ...] = ()
     fits: tuple[FrameFit, ...] = ()
@@ -205,7 +211,7 @@ class ArmSession:
     @property
     def masks(self) -> SessionMasks | None:
         """What is stated of errors that the masks share; None if their margin was not estimated."""
-        return None if self.margin is None else SessionMasks.of(self.margin, self.growth)
+        return None if self.margin is None else SessionMasks.of(self.margin, self.bias)
 
     @property
     def taken_off(self) -> float:
@@ -584,8 +590,8 @@ def checked(arms: Arms) -> list[tuple[ArmSession, CameraCheck]]:
             outlines, config = arm.view_as_blocks(), arm.setup.config
             offsets = [fit.side_offsets for fit in arm.fits if fit.explains_mask and fit.side_offsets is not None]
             outwards = max(0.0, *np.mean(offsets, axis=0).tolist()) if offsets else 0.0
-            growth = MaskGrowth(outwards, arm.taken_off)
-            tested = growth, InstrumentSizes(arm.setup.instrument), *(make(config, outlines.camera) for make in TESTED)
+            bias = MaskBias(outwards, arm.taken_off)
+            tested = bias, InstrumentSizes(arm.setup.instrument), *(make(config, outlines.camera) for make in TESTED)
             seen.append(_as_outlines(arm, replace(outlines, blocks=(*outlines.blocks, *tested))))
         checks = check_camera(seen, arms[group[0]].setup.config, applied=arms[group[0]].change)
         out |= {k: (_with_check(arms[k], check), check) for k, check in zip(group, checks, strict=True)}
@@ -594,10 +600,10 @@ def checked(arms: Arms) -> list[tuple[ArmSession, CameraCheck]]:
 
 def _with_check(arm: ArmSession, check: CameraCheck) -> ArmSession:
     """Return an arm with what was found in the test of its camera, in words and in what it does to the solution."""
-    if check.growth is not None:
-        moves = check.growth.of_calibration
-        widened = replace(arm.solution, of_growth=moves @ check.growth.squares @ moves.T)
-        arm = replace(arm, found=widened, growth=check.growth)
+    if check.bias is not None:
+        moves = check.bias.of_calibration
+        widened = replace(arm.solution, of_masks=moves @ check.bias.squares @ moves.T)
+        arm = replace(arm, found=widened, bias=check.bias)
     if check.camera is None:
         arm = arm.noted(undetermined=[check.undetermined])
     elif arm.setup.guessed_camera:

@@ -201,13 +201,13 @@ def _places(calibrations: Sequence[Calibration]) -> tuple[tuple[Indices, ...], i
 class Solved(ArmEquations):
     """An arm's part of a solution: its own equations, and the ``whole`` ones, in which it is number ``arm``.
 
-    ``of_growth`` (K, K) is the mean square of the errors that errors of all masks on some sides cause; None where these
+    ``of_masks`` (K, K) is the mean square of the errors that errors of all masks on some sides cause; None where these
     are not known.
     """
 
     whole: Whole
     arm: int = 0
-    of_growth: Float64 | None = None
+    of_masks: Float64 | None = None
 
     @property
     def _place(self) -> tuple[Indices, Indices]:
@@ -232,7 +232,7 @@ class Solved(ArmEquations):
         """
         inverse = np.asarray(np.linalg.inv(self.whole.information), dtype=np.float64)
         alone = self.whole.covariance_of(inverse)[self._place]
-        return alone if self.of_growth is None else alone + self.of_growth
+        return alone if self.of_masks is None else alone + self.of_masks
 
     def with_information(self, more: Float64) -> tuple[Float64, Float64]:
         """Return inverse information and covariance (K, K) with more information (K, K) about the arm's unknowns."""

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.mask_growth import changes_by_masks
 from dvrk_cmaes.calibration.prediction import WRIST_ERROR, FoundLag, Prediction, endoscope_at
+from dvrk_cmaes.calibration.session_masks import changes_by_masks
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.seen_view import seen_views

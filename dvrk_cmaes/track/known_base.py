@@ -9,7 +9,6 @@ import numpy as np
 
 from dvrk_cmaes.calibration.consensus import INLIER_MISFIT
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.mask_growth import changes_by_masks, covariance_of_masks
 from dvrk_cmaes.calibration.prediction import (
     WRIST_ERROR,
     FoundLag,
@@ -19,6 +18,7 @@ from dvrk_cmaes.calibration.prediction import (
     lag_and_std,
     lag_of,
 )
+from dvrk_cmaes.calibration.session_masks import changes_by_masks, covariance_of_masks
 from dvrk_cmaes.geometry import Posed, change_between
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.names import ECM_JOINTS

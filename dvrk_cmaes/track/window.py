@@ -20,9 +20,9 @@ from dvrk_cmaes import _kernel
 from dvrk_cmaes.calibration.autocorrelated_errors import CORRELATED_FRAMES
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_fit import FrameFit
-from dvrk_cmaes.calibration.mask_growth import covariance_of_masks
 from dvrk_cmaes.calibration.prediction import Prediction, calibration_covariance
 from dvrk_cmaes.calibration.session_doubts import resting_on
+from dvrk_cmaes.calibration.session_masks import covariance_of_masks
 from dvrk_cmaes.calibration.solve import robust_weights
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig

@@ -16,9 +16,8 @@ from dvrk_cmaes import Body, EstimateConfig, FrameData, Renderer, Rig, SessionCa
 from dvrk_cmaes.calibration import session_problem
 from dvrk_cmaes.calibration.blocks import Block, Calibration, FoundBlock, OutlineOfView, SeenBlock, ViewAsSeen
 from dvrk_cmaes.calibration.endoscope import Endoscope, Pieces, Steered
-from dvrk_cmaes.calibration.mask_growth import MaskGrowth
 from dvrk_cmaes.calibration.session_camera import CameraChange
-from dvrk_cmaes.calibration.session_masks import MaskMargin
+from dvrk_cmaes.calibration.session_masks import MaskBias, MaskMargin
 from dvrk_cmaes.calibration.session_problem import TESTED
 from dvrk_cmaes.calibration.session_shaft import InstrumentSizes
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
@@ -83,7 +82,7 @@ CASES = {
     "principal point to the right": Shown(lambda body: CameraChange(), 1, 1.0),
     "principal point down": Shown(lambda body: CameraChange(), 2, 1.0),
     "margin": Shown(lambda body: MaskMargin(), 0, 0.5),
-    "what faces right": Shown(lambda body: MaskGrowth(), 2, 0.5, mask=shadowed),
+    "what faces right": Shown(lambda body: MaskBias(), 2, 0.5, mask=shadowed),
     "shaft": Shown(lambda body: InstrumentSizes(body.instrument), 0, np.log(1.03), instrument=with_shaft),
     "wrist": Shown(lambda body: InstrumentSizes(body.instrument), 1, np.log(1.03), instrument=with_wrist),
     "jaws": Shown(lambda body: InstrumentSizes(body.instrument), 2, np.log(1.03), instrument=with_jaws),

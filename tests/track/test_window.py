@@ -10,9 +10,8 @@ from helpers.session_worlds import BASE, NAMES, OFFSETS, SMALL, make_world
 
 from dvrk_cmaes import Body, EstimateConfig, Instrument, SessionCalibration
 from dvrk_cmaes.calibration.blocks import BASE_AXES, OUTER_OFFSETS
-from dvrk_cmaes.calibration.mask_growth import changes_by_masks
 from dvrk_cmaes.calibration.prediction import Prediction
-from dvrk_cmaes.calibration.session_masks import SessionMasks
+from dvrk_cmaes.calibration.session_masks import SessionMasks, changes_by_masks
 from dvrk_cmaes.track.window import FitEvidence, Window, WindowImage
 
 IMAGES, SIDE = 6, 1

@@ -13,7 +13,7 @@ from helpers.transforms import apply
 from dvrk_cmaes import Body, FrameData, SessionCalibration, SessionFrame, calibrate_session
 from dvrk_cmaes.calibration.autocorrelated_errors import SINGLE
 from dvrk_cmaes.calibration.frame_fit import outline_and_masks
-from dvrk_cmaes.calibration.mask_growth import changes_by_masks
+from dvrk_cmaes.calibration.session_masks import changes_by_masks
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
 from dvrk_cmaes.geometry import Posed
