@@ -10,7 +10,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -116,19 +115,6 @@ def fit_near(
     return fit_frame(views, config, expected, starts, margin=margin, lengths=of_views, preset=preset)
 
 
-def fit_followed(
-    body: Body, config: EstimateConfig, frame: PredictedFrame, before: Float64 | None, masks: SessionMasks | None
-) -> FittedFrame | None:
-    """Read and fit a frame of a recording, as `fit_near`; None if its masks show nothing."""
-    started = time.perf_counter()
-    data = frame.read()
-    views = [] if data is None else views_that_show(data.views, body)
-    if data is None or not views:
-        return None
-    fit, own = fit_near(views, config, frame.expected, before, masks)
-    return FittedFrame(StoredFrame.of_views(views, data.camera, own), fit, time.perf_counter() - started)
-
-
 Found = tuple[Posed, Float64, Float64]
 """Pose and joints, their covariance (D, D) given the camera, and that by the camera's errors."""
 
@@ -223,10 +209,7 @@ def fit_block(
     found: list[FittedFrame | None] = []
     deviation: Float64 | None = None
     for frame in frames:
-        if colours is None:
-            fitted = fit_followed(body, config, frame, deviation, masks)
-        else:
-            fitted = _fit_by_images(body, config, frame, deviation, masks, colours)
+        fitted = _fit_one(body, config, frame, deviation, masks, colours)
         found.append(fitted)
         deviation = None
         if fitted is not None and fitted.fit.explains_mask and not fitted.doubts:
@@ -247,52 +230,52 @@ def around_task(
     data = with_outside(data)
     drawn = [silhouette_of(expected.mean, view, body) for view in data.views]
     found, unsupported = _masked(data, drawn, colours, _spread(expected, data.camera))
-    return found if unsupported < UNSUPPORTED else None
+    shown = any(view.given and view.shows for view in found.views)
+    return found if shown and unsupported < UNSUPPORTED else None
 
 
-def _fit_by_images(
+def _fit_one(
     body: Body,
     config: EstimateConfig,
     frame: PredictedFrame,
     before: Float64 | None,
     masks: SessionMasks | None,
-    colours: Mapping[str, ColourModel],
+    colours: Mapping[str, ColourModel] | None,
 ) -> FittedFrame | None:
-    """Fit a frame; ``before`` (D,) is the deviation of the frame before from its prediction."""
-    data = frame.read()
+    """Read and fit a frame as `fit_near`; with ``colours`` by masks that are found, and again where the fit is not.
+
+    ``before`` (D,) is the deviation of the frame before from its prediction. None if the masks show nothing.
+    """
+    started, data = time.perf_counter(), frame.read()
     if data is None:
         return None
-    data = with_outside(data)
+    unsupported, last = 0.0, list[Bool]()
+    if colours is not None:
+        data = with_outside(data)
     at = frame.expected.mean if before is None else frame.expected.mean.moved(before)
-    spread = _spread(frame.expected, data.camera)
-    seconds, drawn = 0.0, [silhouette_of(at, view, body) for view in data.views]
-    for _ in range(_ROUNDS):
-        masked, unsupported = _masked(data, drawn, colours, spread)
-        fitted = fit_followed(body, config, replace(frame, read=partial(_given, masked)), before, masks)
-        if fitted is None:
+    for k in range(_ROUNDS):
+        masked = data
+        if colours is not None:
+            drawn = [silhouette_of(at, view, body) for view in data.views]
+            if k and min(overlap_of(*pair) for pair in zip(last, drawn, strict=True)) > _SAME:
+                break
+            spread, last = SPREAD_OF_FIT if k else _spread(frame.expected, data.camera), drawn
+            masked, unsupported = _masked(data, drawn, colours, spread)
+        views = views_that_show(masked.views, body)
+        if not views:
             return None
-        seconds += fitted.seconds
-        now = [silhouette_of(fitted.fit.at, view, body) for view in data.views]
-        settled = min(overlap_of(first, second) for first, second in zip(drawn, now, strict=True)) > _SAME
-        drawn, spread = now, SPREAD_OF_FIT
-        if settled:
+        fit, own = fit_near(views, config, frame.expected, before, masks)
+        at = fit.at
+        if colours is None:
             break
-    assert fitted is not None
-    return replace(
-        fitted,
-        seconds=seconds,
-        doubts=tuple(reasons(silhouette_without_colours(unsupported))),
-    )
-
-
-def _given(data: FrameData | None) -> FrameData | None:
-    return data
+    stored, doubts = StoredFrame.of_views(views, data.camera, own), reasons(silhouette_without_colours(unsupported))
+    return FittedFrame(stored, fit, time.perf_counter() - started, tuple(doubts))
 
 
 def _masked(
     data: FrameData, drawn: list[Bool], colours: Mapping[str, ColourModel], spread: float
-) -> tuple[FrameData | None, float]:
-    """Return a frame with masks found around silhouettes, if any, and the largest share that is unsupported."""
+) -> tuple[FrameData, float]:
+    """Return a frame with masks found around silhouettes, and the largest share of one that is unsupported."""
     views, shares = [], [0.0]
     for view, silhouette in zip(data.views, drawn, strict=True):
         model = colours.get(view.name)
@@ -303,8 +286,7 @@ def _masked(
         mask = np.zeros_like(silhouette) if found is None else found.mask
         views.append(replace(view, mask=mask, given=True, image=None))
         shares.append(0.0 if found is None else found.unsupported)
-    shown = any(view.given and view.shows for view in views)
-    return (replace(data, views=tuple(views)) if shown else None), max(shares)
+    return replace(data, views=tuple(views)), max(shares)
 
 
 def _spread(expected: Expected, camera: Camera) -> float:

@@ -239,11 +239,6 @@ class SolutionSchedule:
     solver: Solver
     _due: deque[float] = field(default_factory=deque)
 
-    @property
-    def waiting(self) -> bool:
-        """Whether keyframes are being solved whose solution is not used yet."""
-        return bool(self._due)
-
     def before_step(self, time: float) -> None:
         """Use the solutions whose time has come, before the step to the image of a time, s."""
         while self._due and time >= self._due[0]:

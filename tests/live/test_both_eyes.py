@@ -40,11 +40,9 @@ class Clock:
 
 @dataclass
 class Tracker(NothingBeside):
-    """Takes some time for a step, and keeps what it was given."""
+    """Keeps what it was given."""
 
     rig: Rig
-    clock: Clock
-    seconds: float = 0.0
     steps: list[tuple[float, Any, Any, Any]] = field(default_factory=list)
     readings: int = 0
 
@@ -52,7 +50,6 @@ class Tracker(NothingBeside):
         self.readings += 1
 
     def step(self, time: float, mask: Any = None, image: Any = None, ignore: Any = None) -> Found:
-        self.clock.now += self.seconds
         self.steps.append((time, mask, image, ignore))
         return Found(camera_from_base=BASE)
 
@@ -63,7 +60,6 @@ class Robot:
 
     topics: InputTopics
     rig: Rig | None = None
-    seconds: float = 0.0
     rectified: bool = False
     clock: Clock = field(default_factory=Clock)
     wire: Wire = field(default_factory=Wire)
@@ -80,7 +76,7 @@ class Robot:
 
     def _arm(self, arm: str) -> LiveArm:
         def make(rig: Rig) -> Tracker:
-            self.trackers.setdefault(arm, []).append(Tracker(rig, self.clock, self.seconds))
+            self.trackers.setdefault(arm, []).append(Tracker(rig))
             return self.trackers[arm][-1]
 
         outputs = Outputs(self.wire, FrameNames(arm, "camera", f"{arm}_base"))
