@@ -52,7 +52,7 @@ from dvrk_cmaes.io.typed_document import (
     refused,
 )
 from dvrk_cmaes.joints.lag import Lag
-from dvrk_cmaes.pose.camera_errors import usual_covariance
+from dvrk_cmaes.pose.camera_errors import file_covariance
 
 SCHEMA = 2
 CALIBRATION_EXPECTED = "a SessionCalibration (dvrk_cmaes.read_calibration reads one)"
@@ -142,7 +142,9 @@ class SessionCalibration:
     shaft: SessionShaft | None = None
     blocks: dict[str, FoundBlock] = field(default_factory=dict)
     masks: SessionMasks | None = None
-    camera_errors: SquareOfSix = field(default_factory=partial(usual_covariance, CameraConfig()), metadata=SIGNIFICANT)
+    camera_errors: SquareOfSix = field(
+        default_factory=partial(file_covariance, None, CameraConfig()), metadata=SIGNIFICANT
+    )
     rig: tuple[ViewRotation, ...] = ()
     views: tuple[ViewDocument, ...] = ()
     endoscope: SessionEndoscope | None = None

@@ -26,7 +26,7 @@ SIZES = "sizes"
 
 _STD = 0.01  # of the logarithms, of parts of tools of one kind
 _WEAK_STD = 0.5  # of the same where it is asked which tool is there
-_LEAST: Final = {"shaft": 0.02, "wrist": 0.04, "jaws": 0.04, "whole": 0.02}
+_LEAST: Final = {"radius": 0.02, "wrist": 0.04, "jaws": 0.04, "whole": 0.02}
 """Shares of the sizes, beyond which whole or part is another one.
 
 Right ones are found to 0.5 %, lengths to 1 % in recordings of `fleet.py make` and sessions of `synth`, seeds 7701 to
@@ -36,7 +36,7 @@ of one is beyond it (seeds 8605 to 8919), as its masks are 3 px too wide on one 
 _OTHER_SHARE, _OTHER_STD = 0.3, 10.0
 """Share of instruments that are not those of the model, and their deviations of size in usual ones."""
 _TEXTS: Final = {
-    "shaft": ("the shaft is", "thicker", "thinner"),
+    "radius": ("the shaft is", "thicker", "thinner"),
     "wrist": ("the length from the wrist's to the jaws' axis is", "longer", "shorter"),
     "jaws": ("the jaws are", "longer", "shorter"),
     "whole": ("all of it is", "larger", "smaller"),
@@ -144,14 +144,9 @@ class SessionShaft(Document):
 
     def contradictions(self) -> list[str]:
         """Say by how much the frames contradict sizes of the instrument; empty where they do not."""
-        found = (
-            (self.radius_scale, self.std_radius_scale),
-            (self.wrist_scale, self.std_wrist_scale),
-            (self.jaws_scale, self.std_jaws_scale),
-            (self.whole_scale, self.std_whole_scale),
-        )
         texts = []
-        for (part, least), (scale, std) in zip(_LEAST.items(), found, strict=True):
+        for part, least in _LEAST.items():
+            scale, std = (float(getattr(self, f"{start}{part}_scale")) for start in ("", "std_"))
             what, more, less = _TEXTS[part]
             than = more if scale > 1 else less
             if abs(scale - 1) > max(least, CLEAR * std):

@@ -30,20 +30,14 @@ _LONGEST: Final = 0.15  # m of shaft, more than is in view
 _HELD: Final = 1e-3  # px^2 per m^2 or rad^2: keeps the equations solvable
 
 
-def file_covariance(camera: Camera, config: CameraConfig) -> Float64:
+def file_covariance(camera: Camera | None, config: CameraConfig) -> Float64:
     """Return the covariance (6, 6) of the parameters, of the camera's that which its file states if it does."""
-    covariance = usual_covariance(config)
-    if camera.covariance:
-        covariance[:-1, :-1] = camera.covariance
-    return covariance
-
-
-def usual_covariance(config: CameraConfig) -> Float64:
-    """Return the covariance (6, 6) of the parameters that the settings state."""
     centre = config.principal_point_percent / 100
     std = [config.focal_length_percent / 100, config.aspect_percent / 100, centre, centre, config.radial]
-    std.append(config.instrument_size_percent / 100)
-    return np.diag(np.square(std))
+    covariance = np.diag(np.square([*std, config.instrument_size_percent / 100]))
+    if camera is not None and camera.covariance:
+        covariance[:-1, :-1] = camera.covariance
+    return covariance
 
 
 def displacements(camera: Camera, pixels: Float64, tangent: Float64) -> Float64:

@@ -11,7 +11,7 @@ from helpers.session_worlds import SMALL, make_frames_in_memory
 
 from dvrk_cmaes import Body, Camera, InputError, estimate
 from dvrk_cmaes.calibration.blocks import ViewAsSeen
-from dvrk_cmaes.calibration.session_camera import OF_LENS, Lens
+from dvrk_cmaes.calibration.session_camera import Lens
 from dvrk_cmaes.config import CameraConfig, EstimateConfig
 from dvrk_cmaes.geometry import Posed, apply
 from dvrk_cmaes.io.toml_file import read_config
@@ -75,7 +75,7 @@ def test_points_move_with_aspect_and_radial_coefficient_of_every_lens_as_they_ar
     points = np.random.default_rng(0).uniform([-0.25, -0.2, 0.9], [0.25, 0.2, 1.1], (40, 3))
     block = Lens(EstimateConfig(), camera)
     moves = displacements(camera, camera.project(points), points[:, :2] / points[:, 2:])
-    for k, number in enumerate(OF_LENS):
+    for k, number in enumerate(map(PARAMETERS.index, block.axes)):
         ends = [
             block.seen("", ViewAsSeen(camera, np.zeros(3), 0.0, 1.0), sign * 1e-4 * np.eye(2)[k]).camera.project(points)
             for sign in (1, -1)
