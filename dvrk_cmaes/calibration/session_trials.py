@@ -1,8 +1,6 @@
-"""Solutions of one session from several starts, of which that one is taken that predicts left-out frames best.
+"""The start of a session: its lag, its endoscope and its pieces by the frames' own modes; then all are solved together.
 
-A session is solved at several lags where its frames' own modes do not tell the lag, in pieces and in one where its base
-seems to have moved, and again with masks that were found around its silhouettes. Errors of cables and a lag explain
-much of each other in the frames that are fitted; in frames that are left out, they do not.
+A session whose base seems to have moved is also solved in one piece, and stays cut where that explains more frames.
 """
 
 from __future__ import annotations
