@@ -34,5 +34,5 @@ def check_own(given: Path, paths: Iterable[Path | None]) -> None:
 
 def check_own_folder(folder: Path) -> None:
     """Check all that is in a folder, if it is one; errors as of `check_own`."""
-    for place, folders, files in os.walk(folder):
+    for place, folders, files in os.walk(folder) if os.path.isdir(folder) else ():
         check_own(folder, (Path(place, name) for name in (*folders, *files)))
