@@ -578,7 +578,7 @@ CASES: Final = (
     LabCase("eyes in one place", _stereo_session(1e-6), "expected 0.0005 to 0.5 m", (REFUSED,)),
     LabCase("eyes of one frame_id", _eyes_of_one_frame, "stereo: ROS camera_info"),
     # masks
-    LabCase("palette", _masked(_palette, "m.png", "--label", "1"), "joints, deg"),
+    LabCase("palette", _masked(_palette, "m.png", "--label", "1"), "wrist_pitch, deg"),
     LabCase(
         "palette, no label",
         _masked(lambda m: np.where(m > 127, 1, 0).astype(np.uint8), "m.png"),
@@ -588,17 +588,17 @@ CASES: Final = (
     LabCase(
         "any value",
         _masked(lambda m: np.where(m > 127, 7, 0).astype(np.uint8), "m.png", "--label", "any"),
-        "joints, deg",
+        "wrist_pitch, deg",
     ),
-    LabCase("colours", _masked(_coloured, "m.png", "--label", "#00ff00"), "joints, deg"),
+    LabCase("colours", _masked(_coloured, "m.png", "--label", "#00ff00"), "wrist_pitch, deg"),
     LabCase("colours, no label", _masked(_coloured, "m.png"), "--label", (REFUSED,)),
     LabCase("colours, by value", _masked(_coloured, "m.png", "--label", "1"), "#00ff00", (REFUSED,)),
     LabCase("16 bits", _masked(lambda m: (m > 127).astype(np.uint16) * 65535, "m.png"), "--label any", (REFUSED,)),  # type: ignore[arg-type,return-value]
     LabCase("transparent", _masked(lambda m: np.dstack([m, m, m, m]), "m.png"), "save it without", (REFUSED,)),
     LabCase("inverted", _masked(lambda m: 255 - m, "m.png"), "inverted.*--label 0", (REFUSED,)),
-    LabCase("COCO's runs", _masked(_runs, "m.json"), "joints, deg"),
-    LabCase("COCO's data set", _masked(_data_set, "m.json", "--label", "needle driver"), "joints, deg"),
-    LabCase("labelme's polygons", _masked(_shapes, "m.json"), "joints, deg"),
+    LabCase("COCO's runs", _masked(_runs, "m.json"), "wrist_pitch, deg"),
+    LabCase("COCO's data set", _masked(_data_set, "m.json", "--label", "needle driver"), "wrist_pitch, deg"),
+    LabCase("labelme's polygons", _masked(_shapes, "m.json"), "wrist_pitch, deg"),
     # recordings
     LabCase(
         "stamps stand still",
