@@ -33,8 +33,6 @@ Right ones are found to 0.5 %, lengths to 1 % in recordings of `fleet.py make` a
 7704 (`scripts/measure.py track`, `calibrate`). Of 79 recordings of `fleet.py make` with the right instrument the shaft
 of one is beyond it (seeds 8605 to 8919), as its masks are 3 px too wide on one side.
 """
-_OTHER_SHARE, _OTHER_STD = 0.3, 10.0
-"""Share of instruments that are not those of the model, and their deviations of size in usual ones."""
 _TEXTS: Final = {
     "radius": ("the shaft is", "thicker", "thinner"),
     "wrist": ("the length from the wrist's to the jaws' axis is", "longer", "shorter"),
@@ -132,15 +130,9 @@ class SessionShaft(Document):
         return cls(*(float(value) for pair in pairs for value in pair))
 
     def square(self, std: float) -> float:
-        """Return the mean square of the error of the whole's logarithm, which is known to ``std`` beforehand.
-
-        Or, with some probability, the instrument is another one, whose size is known far less.
-        """
-        value, shares = np.log(self.whole_scale), np.array([1 - _OTHER_SHARE, _OTHER_SHARE])
-        prior, found = np.square([std, _OTHER_STD * std]), self.std_whole_scale**2
-        likely = shares * np.exp(-0.5 * value**2 / (prior + found)) / np.sqrt(prior + found)
-        kept = prior / (prior + found)
-        return float(np.average(np.square(kept * value) + kept * found, weights=likely))
+        """Return the mean square of the error of the whole's logarithm, whose prior has the standard deviation ``std``."""
+        share = std**2 / (std**2 + self.std_whole_scale**2)
+        return (share * float(np.log(self.whole_scale))) ** 2 + share * self.std_whole_scale**2
 
     def contradictions(self) -> list[str]:
         """Say by how much the frames contradict sizes of the instrument; empty where they do not."""
