@@ -130,7 +130,7 @@ class SessionShaft(Document):
         return cls(*(float(value) for pair in pairs for value in pair))
 
     def square(self, std: float) -> float:
-        """Return the mean square of the error of the whole's logarithm, whose prior has the standard deviation ``std``."""
+        """Return the mean square of the error of the log of the whole size, whose prior has a deviation ``std``."""
         share = std**2 / (std**2 + self.std_whole_scale**2)
         return (share * float(np.log(self.whole_scale))) ** 2 + share * self.std_whole_scale**2
 
