@@ -160,9 +160,6 @@ def _finished(given: _Given, outcome: Outcome | None) -> tuple[SolvedSession, di
     if isinstance(outcome, Exception):
         raise outcome
     arm, check = outcome
-    if (applied := arm.lag.applied) is not None:
-        option = f"taken out; other commands take it out with {applied.option}"
-        arm = arm.noted(remarks=[f"{applied.describe()}: {option}"])
     with single_blas_thread():
         errors = errors_of_camera(check, arm.stored[0].camera, arm.setup.config.camera)
         reports, reasons = reported(arm, errors)

@@ -218,7 +218,8 @@ class SessionCalibration:
         """Yield what the frames tell beside base, offsets and cables, in words: endoscope, lag, cameras, masks."""
         yield from () if self.endoscope is None else self.endoscope.in_words()
         if self.lag is not None:
-            done = "taken out of the readings" if self.lag.applied else "zero within its error, not taken out"
+            taken = f"taken out of the readings (of other commands: {self.lag.option})"
+            done = taken if self.lag.applied else "zero within its error, not taken out"
             yield f"lag: {self.lag.describe()}; {done}"
         if self.camera is not None:
             yield f"camera, against its file: {self.camera.describe()}"
