@@ -357,14 +357,17 @@ def check_camera(
         found = estimate_camera(arms, config, passes=passes)
         if far := passes > 1 and not all(one.plausible for one in found):
             found = estimate_camera(arms, config, passes=1)
+        # the bias of masks is that at the camera of the file
+        first = found if far or passes == 1 else estimate_camera(arms, config, passes=1)
     except InputError as error:
         return [CameraCheck(None, f"camera: {error}", np.zeros((arm.calibration.alone().own,) * 2)) for arm in arms]
-    pairs = zip(found, arms, strict=True)
-    return [_checked(one, arm.outlines, config, reason, applied, far=far) for one, arm in pairs]
+    each = zip(found, first, arms, strict=True)
+    return [_checked(last, near, arm.outlines, config, reason, applied, far=far) for last, near, arm in each]
 
 
 def _checked(
     there: Linearised,
+    first: Linearised,
     outlines: SessionOutlines,
     config: EstimateConfig,
     reason: str | None,
@@ -372,7 +375,10 @@ def _checked(
     *,
     far: bool,
 ) -> CameraCheck:
-    """Judge an estimate; ``reason`` is why the camera is not tested, ``far`` whether an estimate was not plausible."""
+    """Judge an estimate; ``reason`` is why the camera is not tested, ``far`` whether an estimate was not plausible.
+
+    ``first`` is the estimate of one linearisation, at the camera with which the frames were fitted.
+    """
     calibration, file = there.solution.calibration, file_deviations(outlines.camera, config.camera)
     own, count = calibration.place(CAMERA), calibration.own
     change, covariance, known = there.value(CAMERA), there.covariance[own, own], {CAMERA: file}
@@ -381,6 +387,7 @@ def _checked(
         if isinstance(block, MaskBias):
             bias = estimate_bias(there, block, known if applied is None else {})
             change, covariance = bias.values[own], bias.covariance[own, own]
+            bias = replace(estimate_bias(first, block, known if applied is None else {}), of_frames=bias.of_frames)
             known = {**known, BIAS: bias.std_px}
             shaft = SessionShaft.of(there, known)
     blocks, of_blocks = _stated(there, outlines.blocks, known, config.session.shared_errors)
