@@ -239,7 +239,7 @@ class CameraConfig:
     aspect_percent: float = 0.2
     principal_point_percent: float = 0.3
     radial: float = 0.02
-    instrument_size_percent: float = 0.3
+    instrument_size_percent: float = 0.1
 
 
 @dataclass(frozen=True)

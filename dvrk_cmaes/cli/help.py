@@ -39,7 +39,7 @@ def help_topic(topic: str | None = None, /) -> int:
         from dvrk_cmaes.io.short_text import shown
 
         names = ", ".join(nearest_first(topic[:60], pages))
-        raise InputError(f"help: expected one of the topics {names}, got {shown(topic)}")
+        raise InputError(f"help: expected one of the topics {names}, got {shown(topic[:40])}")
     _print_markdown(_read(pages[topic]))
     return 0
 

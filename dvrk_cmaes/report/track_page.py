@@ -198,6 +198,12 @@ def _figures(recording: FollowedRecording, events: Sequence[TrackEvent]) -> Iter
     searched = sum(bool(row.get("searched")) for row in rows)
     note = f"99 % within {np.percentile(seconds, 99):.0f} ms; {searched} global searches"
     yield KeyFigure("Time a step, median", f"{np.median(seconds):.0f} ms", note)
+    last = rows[-1].get("base")
+    if last is not None:
+        first = next((row["frame"] for row in rows if row.get("base") and row["base"]["used"]), None)
+        far = "" if last["tip_mm"] is None else f", tips to {last['tip_mm']:.1f} mm by the last solution"
+        note = f"{last['keyframes']} keyframes at the end, {last['solved']} solved{far}"
+        yield KeyFigure("Base known", "not known" if first is None else f"from frame {first}", note)
     lag = None if recording.calibration is None else recording.calibration.lag
     if lag is not None:
         yield KeyFigure("Lag", lag.text, lag.describe())

@@ -103,7 +103,7 @@ def test_errors_of_the_file_are_in_metres_and_not_in_this_camera(bundled_body: B
 def test_covariance_that_a_file_states_takes_the_place_of_the_settings() -> None:
     stated = tuple(map(tuple, (1e-4 * np.eye(5)).tolist()))
     given = file_covariance(replace(SMALL, covariance=stated), CameraConfig())
-    np.testing.assert_allclose(given, np.diag([1e-4] * 5 + [0.003**2]))
+    np.testing.assert_allclose(given, np.diag([1e-4] * 5 + [0.001**2]))
     std = np.sqrt(np.diag(file_covariance(SMALL, CameraConfig())))
     assert dict(zip(PARAMETERS, std.round(6).tolist(), strict=True)) == {
         "focal_length": 0.005,
@@ -111,7 +111,7 @@ def test_covariance_that_a_file_states_takes_the_place_of_the_settings() -> None
         "centre_right": 0.003,
         "centre_down": 0.003,
         "radial": 0.02,
-        "instrument_size": 0.003,
+        "instrument_size": 0.001,
     }
 
 
