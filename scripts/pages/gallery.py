@@ -123,7 +123,7 @@ EXHIBITS: Final = (
         "Another instrument and a piece of tissue pass before the one that is followed. The pose goes on, and is "
         "called doubtful meanwhile.",
         (
-            "synth passing --motion video --level medium --frames 60 --seed 7",
+            "synth passing --motion video --level medium --frames 45 --seed 7",
             "track passing --every 2 --out hidden",
         ),
         "hidden",
@@ -140,7 +140,7 @@ EXHIBITS: Final = (
         "Two arms",
         "Two tools in one recording, each followed without the pixels of the other one, and each in its colour.",
         (
-            "synth two --motion video --arms 2 --level easy --frames 40 --seed 1",
+            "synth two --motion video --arms 2 --level easy --frames 30 --seed 1",
             "track two --every 2 --out arms",
         ),
         "arms",
