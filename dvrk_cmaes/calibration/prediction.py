@@ -23,9 +23,9 @@ from dvrk_cmaes.pose.camera_errors import covariance_by_camera
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.find_pose import FoundPose
 from dvrk_cmaes.pose.judge import doubts_in_views, doubts_of_agreement
+from dvrk_cmaes.pose.probability import tip_probability
 from dvrk_cmaes.pose.quality import measure_views, pooled_quality
 from dvrk_cmaes.pose.terms.expected import Expected
-from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import Quality
 

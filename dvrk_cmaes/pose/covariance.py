@@ -12,7 +12,7 @@ import numpy as np
 
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
 from dvrk_cmaes.geometry import Float64, rotation_angle
-from dvrk_cmaes.pose.mode_probability import mode_weights
+from dvrk_cmaes.pose.probability import mode_weights
 from dvrk_cmaes.pose.refine.gauss_newton import Fit
 from dvrk_cmaes.results.result import Quality
 

@@ -15,7 +15,7 @@ from dvrk_cmaes.pose.camera_errors import covariance_by_camera, file_covariance
 from dvrk_cmaes.pose.covariance import pose_covariance
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.judge import judge
-from dvrk_cmaes.pose.mode_probability import mode_probability
+from dvrk_cmaes.pose.probability import mode_probability
 from dvrk_cmaes.pose.quality import Overlap, measure_modes, pooled_quality
 from dvrk_cmaes.pose.refine.coarse_to_fine import LocalSearch
 from dvrk_cmaes.pose.refine.gauss_newton import Fit

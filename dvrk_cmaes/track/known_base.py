@@ -37,7 +37,7 @@ from dvrk_cmaes.pose.doubts import (
     too_few_keyframes,
 )
 from dvrk_cmaes.pose.expected_error import expected_error
-from dvrk_cmaes.pose.tip_probability import tip_probability
+from dvrk_cmaes.pose.probability import tip_probability
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import BaseKnown, TrackResult, doubted

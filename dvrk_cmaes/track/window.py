@@ -32,8 +32,8 @@ from dvrk_cmaes.pose.camera_errors import covariance_by_camera
 from dvrk_cmaes.pose.doubts import FOLLOWED, pose_lost, reasons
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
 from dvrk_cmaes.pose.judge import doubts_of_agreement
+from dvrk_cmaes.pose.probability import tip_probability
 from dvrk_cmaes.pose.terms.shared_errors import MEAN_ERRORS
-from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.results.result import ExpectedError
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.track.colour_edges import EdgeFit

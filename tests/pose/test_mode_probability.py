@@ -9,7 +9,7 @@ from helpers.transforms import moved
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.covariance import pose_covariance, rough_covariance
-from dvrk_cmaes.pose.mode_probability import mode_probability
+from dvrk_cmaes.pose.probability import mode_probability
 from dvrk_cmaes.pose.refine.gauss_newton import Fit
 from dvrk_cmaes.results.result import Quality
 

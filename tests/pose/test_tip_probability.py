@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from dvrk_cmaes.pose.tip_probability import tip_probability
+from dvrk_cmaes.pose.probability import tip_probability
 
 
 def test_it_falls_with_the_expected_error() -> None:
