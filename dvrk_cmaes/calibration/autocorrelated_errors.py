@@ -22,7 +22,7 @@ from dvrk_cmaes.pose.terms.shared_errors import without_last
 from dvrk_cmaes.pose.terms.term import Quadratic
 
 CORRELATED_FRAMES = 3.0
-"""Frames near each other whose masks err alike: what each tells counts as much less beside its neighbours."""
+"""Frames near each other whose masks err alike: the information of each counts as much less next to its neighbours."""
 
 IN_SESSION = 0.25
 """Factor on the standard deviations of the errors of the shaft's sides in the fits of a session."""

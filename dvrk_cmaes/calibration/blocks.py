@@ -287,7 +287,7 @@ class Calibration:
         changed = {one.name: one.changed(self.values[one.name], step[self.place(one.name)]) for one in self.blocks}
         return Calibration(self.blocks, changed)
 
-    def beside(self, *blocks: Block, **values: Any) -> Calibration:
+    def with_blocks(self, *blocks: Block, **values: Any) -> Calibration:
         """Return the calibration with further blocks and other values, those of seen blocks by default their start.
 
         A block takes the place of one of the same name.

@@ -27,7 +27,7 @@ from dvrk_cmaes.calibration.frame_task import (
 )
 from dvrk_cmaes.calibration.model import SessionModel, outer_readings
 from dvrk_cmaes.calibration.session_camera import CameraCheck, errors_of_camera
-from dvrk_cmaes.calibration.session_doubts import doubts_of, ends_missing, resting_on, unusual_insertion
+from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual_insertion
 from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
 from dvrk_cmaes.calibration.session_problem import LEAST_FRAMES, ArmSession, ArmSetup
 from dvrk_cmaes.calibration.session_rig import rotations_of_session, turns_of
@@ -168,9 +168,8 @@ def _finished(given: _Given, outcome: Outcome | None) -> tuple[SolvedSession, di
     results |= {name: report.result for name, report in by_name.items()}
     given = given._replace(left_out={**given.left_out, **reasons})
     predicted = {name: report.leave_one_out for name, report in by_name.items()}
-    calibration = _judged(arm, _stated(given, arm, check, errors, results, predicted))
-    lacking = ends_missing([by_name[name].end_missing for name in calibration.frames])
-    calibration = replace(calibration, doubts=(*calibration.doubts, *lacking))
+    calibration = _stated(given, arm, check, errors, results, predicted)
+    calibration = _judged(arm, calibration, [by_name[name].end_missing for name in calibration.frames])
     results = {name: resting_on(result, calibration) for name, result in results.items()}
     evidence = {frame.name: one.views[0].evidence for frame, one in zip(arm.frames, arm.stored, strict=True)}
     return SolvedSession(calibration, results, predicted), evidence
@@ -265,14 +264,16 @@ def _endoscope(arm: ArmSession, check: CameraCheck) -> SessionEndoscope | None:
     )
 
 
-def _judged(arm: ArmSession, calibration: SessionCalibration) -> SessionCalibration:
+def _judged(arm: ArmSession, calibration: SessionCalibration, ends_lacking: Sequence[bool]) -> SessionCalibration:
     """Return a calibration with the doubts about the session as a whole, and with an unusual insertion remarked."""
     settings = arm.setup.config.session
     if unusual := unusual_insertion(calibration, settings):
         calibration = replace(calibration, remarks=(*calibration.remarks, unusual))
     without_lag = arm.lag.undetermined if arm.lag.nowhere else ""
     pixel_scale = arm.stored[0].views[0].evidence.camera.pixel_scale
-    doubts = doubts_of(calibration, settings, without_lag=without_lag, pixel_scale=pixel_scale)
+    doubts = doubts_of(
+        calibration, settings, without_lag=without_lag, pixel_scale=pixel_scale, ends_lacking=ends_lacking
+    )
     return replace(calibration, doubts=doubts)
 
 

@@ -388,7 +388,7 @@ class SessionCalibration:
             endoscope=None if endoscope is None else endoscope[0],
         )
         found = model.calibration(self.camera_from_base, offsets)
-        return model, found if endoscope is None else found.beside(endoscope=endoscope[1])
+        return model, found if endoscope is None else found.with_blocks(endoscope=endoscope[1])
 
     def _elsewhere(self, joints: Float64, joint_names: Sequence[str], std: Float64) -> Float64:
         """Return the factors (N, 1 + J) on the standard deviations ``std`` (J,), rad, of roll and joints (N, J).

@@ -148,7 +148,7 @@ class _Cut:
         if len(held) > 1:
             cameras = [bases[k].camera_from_base @ inverse(start.camera_from_base) for k in held[order[1:]]]
             pieces = Pieces.of(np.argsort(order)[number], np.array(cameras))
-            start = start.beside(pieces.block, endoscope=pieces.start)
+            start = start.with_blocks(pieces.block, endoscope=pieces.start)
         solution = solve_with_modes(replace(model, endoscope=pieces), modes, start)
         return cls(pieces, solution)
 
@@ -157,7 +157,7 @@ class _Cut:
         """The base of each piece, with the shared offsets."""
         found, values = self.solution.calibration.without(ENDOSCOPE), self.solution.calibration.endoscope
         moves = [] if values is None else list(values.poses)
-        return [found, *(found.beside(base=move @ found.camera_from_base) for move in moves)]
+        return [found, *(found.with_blocks(base=move @ found.camera_from_base) for move in moves)]
 
     @property
     def agree(self) -> NDArray[np.bool_]:

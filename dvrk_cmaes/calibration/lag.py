@@ -540,7 +540,7 @@ def refine_lag(arms: Sequence[LateFrames], start: float) -> Refined | None:
         return Refined(start, clock.step / np.sqrt(12))
     reach, value, left = clock.step, start, _LINEARISATIONS
     block = LagBlock(FARTHEST[clock._known.unit] / _SHARED_ERRORS)
-    calibrations = [frames.calibration.beside(block, lag=np.array([start])) for _, frames in arms]
+    calibrations = [frames.calibration.with_blocks(block, lag=np.array([start])) for _, frames in arms]
     solutions, moved = None, 0.0
     for _ in range(_MOST_LINEARISATIONS):
         pairs = zip(arms, calibrations, strict=True)

@@ -196,7 +196,9 @@ def linearise(arms: Sequence[ArmOutlines], solver: Solver, names: Sequence[str],
     InputError
         As `SessionOutlines.near`.
     """
-    arms = [arm._replace(calibration=arm.calibration.beside(*arm.outlines.lacking(arm.calibration))) for arm in arms]
+    arms = [
+        arm._replace(calibration=arm.calibration.with_blocks(*arm.outlines.lacking(arm.calibration))) for arm in arms
+    ]
     for _ in range(passes):
         fits = [arm.outlines.near(arm.at, arm.calibration.values) for arm in arms]
         models, solutions = solver([ArmFrames(a.model, f, a.calibration) for a, f in zip(arms, fits, strict=True)])

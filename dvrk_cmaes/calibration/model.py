@@ -159,8 +159,10 @@ class SessionModel:
     def calibration(self, camera_from_base: Float64, offsets: Float64) -> Calibration:
         """Return that of a base (4, 4), m, and offsets (2 + J,); an endoscope has the values of its start."""
         found = Calibration.of(camera_from_base, offsets)
-        found = found.beside(Offsets(self.offset_std, self.names))
-        return found if self.endoscope is None else found.beside(self.endoscope.block, endoscope=self.endoscope.start)
+        found = found.with_blocks(Offsets(self.offset_std, self.names))
+        return (
+            found if self.endoscope is None else found.with_blocks(self.endoscope.block, endoscope=self.endoscope.start)
+        )
 
     def camera_from_base(self, calibration: Calibration) -> Float64:
         """Compute the base (N, 4, 4) in each frame's camera."""

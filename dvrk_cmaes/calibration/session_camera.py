@@ -124,12 +124,14 @@ class Lens(SeenBlock):
             f"fy / fx {100 * alone[0]:+z.1f} % (std {100 * spread[0]:.1f}) off",
             f"a radial coefficient {alone[1]:+z.2f} (std {spread[1]:.2f}) off",
         ]
-        told = [text for text, far in zip(texts, off, strict=True) if far > CLEAR]
-        doubt = f"the camera file is contradicted: these frames fit {' and '.join(told)}; likely causes: {_LENS_CAUSES}"
+        clear = [text for text, far in zip(texts, off, strict=True) if far > CLEAR]
+        doubt = (
+            f"the camera file is contradicted: these frames fit {' and '.join(clear)}; likely causes: {_LENS_CAUSES}"
+        )
         stated = f"lens: fy / fx {100 * values[0]:+z.2f} % (std {100 * std[0]:.2f}), radial {values[1]:+z.3f}"
         each = (tuple(one.tolist()) for one in (values, std, self.std))
         given, known, file = each
-        return FoundBlock(self.axes, given, known, file, f"{stated} (std {std[1]:.3f})", doubt if told else "")
+        return FoundBlock(self.axes, given, known, file, f"{stated} (std {std[1]:.3f})", doubt if clear else "")
 
 
 @dataclass(frozen=True)

@@ -52,6 +52,7 @@ def doubts_of(
     *,
     without_lag: str = "",
     pixel_scale: float = 1.0,
+    ends_lacking: Sequence[bool] = (),
 ) -> tuple[str, ...]:
     """List what is wrong with a session as a whole and was not put right; empty where nothing is.
 
@@ -65,6 +66,8 @@ def doubts_of(
         Why the frames agree at no lag between images and readings; empty if they agree at one, or none was searched.
     pixel_scale
         That of the frames' camera, on limits in pixels.
+    ends_lacking
+        Whether the mask of each frame that was used lacks the end of a jaw.
     """
     settings = SessionConfig() if config is None else config
     camera, shaft = calibration.camera, calibration.shaft
@@ -84,6 +87,7 @@ def doubts_of(
         *reasons(camera_untestable(calibration), insertion_off(calibration, settings)),
         *offsets_beyond_cables(calibration),
         *reasons(f"lag between images and readings: {without_lag}" if without_lag and not calibration.lag else None),
+        *reasons(ends_missing(ends_lacking)),
     )
 
 
@@ -140,11 +144,11 @@ def masks_off(masks: SessionMasks, pixel_scale: float) -> list[str]:
     )
 
 
-def ends_missing(missing: Sequence[bool]) -> list[str]:
+def ends_missing(missing: Sequence[bool]) -> str | None:
     """Judge in how many of the frames the mask lacks the end of a jaw."""
     if sum(missing) > _LACKING_SHARE * len(missing):
-        return [f"the ends of the jaws are missing from the masks in {sum(missing)} of {len(missing)} frames"]
-    return []
+        return f"the ends of the jaws are missing from the masks in {sum(missing)} of {len(missing)} frames"
+    return None
 
 
 def camera_untestable(calibration: SessionCalibration) -> str | None:

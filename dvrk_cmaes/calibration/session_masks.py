@@ -41,8 +41,8 @@ _MARGIN_STEPS = 2  # linearisations of the outlines from whole masks to those le
 
 _BIAS_STD = 2.0  # px, with which the outlines are linearised
 _LEAST, _OF_MARGIN = 0.1, 0.5
-"""Size beforehand, beside what the fits show: px of any mask, and share of the margin that is taken off."""
-_LOG_STD = 0.7  # of the logarithm of the size beforehand
+"""Prior size besides what the fits show: px of any mask, and share of the margin that is taken off."""
+_LOG_STD = 0.7  # of the prior of the logarithm of the size
 _SIZES = np.geomspace(0.03, 0.999 * _BIAS_STD, 16)  # px
 _NONE = 1e-3  # px, of an error that is not there
 _OF_FOUND = 1 / 3
@@ -120,7 +120,7 @@ class MaskBias(SeenBlock):
 class BiasEstimate:
     """What a session tells of the errors on some sides, and what they do to it.
 
-    ``px`` (6,) are their means, and ``std_px`` (6,) what is known of them beforehand: their usual size, and next to
+    ``px`` (6,) are their means, and ``std_px`` (6,) their prior: their usual size, and next to
     nothing where they would be negative. ``values`` (K + E,) and ``covariance`` (K + E, K + E) are those of the
     calibration, as changes, and all blocks with errors of this size. ``squares`` (7, 7) are the mean squares, px^2,
     of the margin that is left on the masks and of what of these errors may be the masks'. ``of_calibration`` (K, 7) and
@@ -257,8 +257,8 @@ def _rows(matrix: Float64) -> tuple[tuple[float, ...], ...]:
     return tuple(map(tuple, matrix.tolist()))
 
 
-def estimate_bias(there: Linearised, bias: MaskBias, beside: Mapping[str, Float64 | float]) -> BiasEstimate:
-    """Tell the size of the errors on some sides, and what they do, from outlines that were linearised in them.
+def estimate_bias(there: Linearised, bias: MaskBias, priors: Mapping[str, Float64 | float]) -> BiasEstimate:
+    """Estimate the size of the errors on some sides, and what they do, from outlines that were linearised in them.
 
     Parameters
     ----------
@@ -266,8 +266,8 @@ def estimate_bias(there: Linearised, bias: MaskBias, beside: Mapping[str, Float6
         The session with the block among its blocks.
     bias
         The block.
-    beside
-        Standard deviations beforehand of other blocks, by name, with which ``squares`` is told: a camera's file.
+    priors
+        Standard deviations of other blocks' priors, by name, given which ``squares`` is estimated: a camera's file.
     """
     calibration, count = there.solution.calibration, there.solution.calibration.own
     place = calibration.place(BIAS)
@@ -283,9 +283,9 @@ def estimate_bias(there: Linearised, bias: MaskBias, beside: Mapping[str, Float6
             break
         std[below] = _NONE
     both = np.r_[calibration.place(MARGIN), place]
-    left, of_errors = there.with_std({BIAS: std, **beside})
+    left, of_errors = there.with_std({BIAS: std, **priors})
     left[calibration.place(MARGIN)] -= bias.margin_px
-    not_told = np.r_[left[calibration.place(MARGIN)], np.sqrt(_OF_FOUND) * left[place]]
+    unresolved = np.r_[left[calibration.place(MARGIN)], np.sqrt(_OF_FOUND) * left[place]]
     information = there.information
     of_calibration = np.asarray(np.linalg.solve(information[:count, :count], information[:count, both]), np.float64)
     frames = marginalise(there.model, there.fits, calibration)
@@ -295,7 +295,7 @@ def estimate_bias(there: Linearised, bias: MaskBias, beside: Mapping[str, Float6
         std,
         known,
         spread,
-        np.asarray(of_errors[np.ix_(both, both)] + np.outer(not_told, not_told), dtype=np.float64),
+        np.asarray(of_errors[np.ix_(both, both)] + np.outer(unresolved, unresolved), dtype=np.float64),
         of_calibration,
         by_all[:, :, :count] @ of_calibration - by_all[:, :, both],
     )

@@ -135,7 +135,7 @@ def _with_shared_endoscope(arm: ArmSession, first: ArmSession) -> ArmSession:
     model = replace(arm.model, endoscope=endoscope.in_common(known.start, known.loose))
     assert model.endoscope is not None
     values = first.solution.calibration.endoscope
-    calibration = arm.solution.calibration.beside(model.endoscope.block, endoscope=values)
+    calibration = arm.solution.calibration.with_blocks(model.endoscope.block, endoscope=values)
     return replace(arm, model=model, found=replace(arm.solution, calibration=calibration))
 
 

@@ -142,7 +142,7 @@ def test_outlines_change_as_the_effect_of_a_block_says(case: str, bundled_body: 
 
 def test_a_calibration_has_the_values_of_its_blocks_in_the_order_of_a_step() -> None:
     camera, margin = CameraChange(), MaskMargin()
-    calibration = Calibration.of(np.eye(4), np.zeros(5), EXPECTED_OFFSETS).beside(camera, margin)
+    calibration = Calibration.of(np.eye(4), np.zeros(5), EXPECTED_OFFSETS).with_blocks(camera, margin)
     assert (calibration.place("camera"), calibration.place("margin")) == (slice(11, 14), slice(14, 15))
     assert len(calibration.axes) == len(calibration.deviation) == 15
     assert calibration.own == 11
@@ -157,8 +157,8 @@ def test_a_calibration_has_the_values_of_its_blocks_in_the_order_of_a_step() -> 
 
 
 def test_a_block_takes_the_place_of_one_of_the_same_name() -> None:
-    calibration = Calibration.of(np.eye(4), np.zeros(5)).beside(Block("one", np.ones(1)), one=np.array([3.0]))
-    known = calibration.beside(Block("one", np.array([0.1])), one=np.zeros(1))
+    calibration = Calibration.of(np.eye(4), np.zeros(5)).with_blocks(Block("one", np.ones(1)), one=np.array([3.0]))
+    known = calibration.with_blocks(Block("one", np.array([0.1])), one=np.zeros(1))
     assert known.information[-1, -1] == pytest.approx(100)
     assert len(known.axes) == 12
     assert len(known.without("one").axes) == 11

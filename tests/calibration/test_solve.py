@@ -122,7 +122,7 @@ def test_information_and_slope_are_the_derivatives_of_the_frames_cost(further: i
     fits = with_further(world, world.fits(rng, 0.3), columns, np.zeros(further))
     scale = np.array([1e-4] * 3 + [1e-3] * 3 + [1e-4] + [1e-2] * 4 + [0.1] * further)
     free = Calibration.of(BASE, world.truth.offsets)
-    start = free.beside(Block("some", np.full(further, np.inf)), some=np.zeros(further))
+    start = free.with_blocks(Block("some", np.full(further, np.inf)), some=np.zeros(further))
 
     def half(step: np.ndarray) -> float:
         """Give half the sum of the frames' costs, whose weights are 1."""
@@ -143,7 +143,7 @@ def test_further_unknowns_that_act_are_found_beside_the_calibration() -> None:
     world = make_world(20, seed=3)
     values = np.array([1.0, -2.0, 0.5])
     fits = with_further(world, world.fits(rng), SEEN[:, None] * rng.standard_normal((20, 9, 3)), values)
-    found = solve(world.model, fits, a_start(world).beside(Block("some", np.full(3, 100.0)), some=np.zeros(3)))
+    found = solve(world.model, fits, a_start(world).with_blocks(Block("some", np.full(3, 100.0)), some=np.zeros(3)))
     std = np.sqrt(np.diag(found.covariance))
     assert (np.abs(found.calibration.further - values) < 3 * std[11:]).all()
     assert (std[11:] < 1).all()
@@ -201,7 +201,7 @@ def test_an_arm_that_is_seen_well_helps_the_other_one_by_what_they_share() -> No
         columns[:, 5] = 0.1
         fits = with_further(world, world.fits(np.random.default_rng(seed)), columns, np.zeros(1))
         start = Calibration.of(a_start(world).camera_from_base, np.zeros(5), np.array([1e-3, 0.02, 0.3, 0.3, 0.3]))
-        frames.append(ArmFrames(world.model, fits, start.beside(block, some=np.zeros(1))))
+        frames.append(ArmFrames(world.model, fits, start.with_blocks(block, some=np.zeros(1))))
     alone, both = solve_arms(frames[:1])[0], solve_arms(frames)
     assert both[0].calibration.values["some"] == pytest.approx(both[1].calibration.values["some"])
     assert np.diag(both[0].covariance)[-1] < 0.8 * np.diag(alone.covariance)[-1]

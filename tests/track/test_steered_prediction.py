@@ -26,7 +26,7 @@ def calibration() -> SessionCalibration:
     assert steered is not None
     model = replace(make_world(10).model, endoscope=steered)
     values = steered.start.changed(np.full(len(steered.start.std), 0.01))
-    solution = model.calibration(BASE, OFFSETS).beside(endoscope=values)
+    solution = model.calibration(BASE, OFFSETS).with_blocks(endoscope=values)
     covariance = 1e-6 * np.eye(solution.own)
     names = (*OUTER_OFFSETS, *NAMES)
     spreads = dict.fromkeys(("yaw", "pitch", "insertion", "roll", *NAMES, "slack_translation", "slack_rotation"), 1e-3)

@@ -170,7 +170,7 @@ class Coverage(OutlineTerm[DrawnCoverage]):
         """Return the approximation near one pose, with most of what the errors of the masks share eliminated.
 
         The last unknowns, `SIDES` of each view, are the errors of the shaft's sides as a whole, in their standard
-        deviations; nothing is known of them beforehand. ``noises`` are those of the views' contours. ``kept``
+        deviations; they have no prior. ``noises`` are those of the views' contours. ``kept``
         gives E further unknowns, if any, which stay beside the pose: (1, D + E + V * SIDES), in standard deviations.
         ``drawn`` is the pose where it was drawn before, with derivatives. Only every ``stride``-th point of the
         outlines is used, which stands for those beside it. ``as_seen`` is whether errors are expected to be as large as
