@@ -295,8 +295,6 @@ def _is_doubtful(solved: SolvedSession) -> bool:
 
 def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
     """Yield the lines of a calibration: base, offsets, frames left out, leave-one-out errors, and the files written."""
-    import numpy as np
-
     from dvrk_cmaes.report.tables import calibration_lines, calibration_tables
 
     calibration = solved.calibration
@@ -305,11 +303,6 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
     for table in calibration_tables(calibration):
         yield from table_lines(table, _MOST_LISTED)
     yield from map(Line, calibration_lines(calibration))
-    views = {"": calibration.leave_one_out, **calibration.leave_one_out_of_views}
-    for eye, pairs in ((eye, np.array(list(frames.values()))) for eye, frames in views.items() if frames):
-        of_all = f"{len(calibration.frames)} frames; each predicted by the others, without its image"
-        what = f"  {eye} eye" if eye else of_all
-        yield Line(f"{what}: mean IoU {pairs[:, 0].mean():.3f}, contour {np.median(pairs[:, 1]):.1f} px median")
     doubtful = [result for result in solved.results.values() if result.status == "doubtful"]
     for result in doubtful[:_MOST_LISTED]:
         yield Line(f"doubtful: {result.frame}: {'; '.join(result.reasons)}", "yellow")

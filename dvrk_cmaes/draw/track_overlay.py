@@ -67,11 +67,13 @@ def _outlined(view: TrackView) -> Image:
 
 
 def _background(image: Image | None, mask: Bool | None, size: tuple[int, int]) -> Image:
-    """Return a copy of an image, or without one a dark picture with the mask."""
-    width, height = size
-    drawn = np.full((height, width, 3), DARK, dtype=np.uint8) if image is None else image.copy()
-    if image is None and mask is not None:
-        drawn[mask] = (_FAINT * 255 * np.ones(3)).astype(np.uint8)
+    """Return a copy of an image in a size, or without one a dark picture with the mask."""
+    if image is not None:
+        same = image.shape[1::-1] == size
+        return image.copy() if same else np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    drawn = np.full((*size[::-1], 3), DARK, dtype=np.uint8)
+    if mask is not None:
+        drawn[mask] = round(_FAINT * 255)
     return drawn
 
 

@@ -13,7 +13,7 @@ from urllib.parse import quote
 import numpy as np
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import Bool, Float64
+from dvrk_cmaes.geometry import Float64
 
 _COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#b04a8f", "#8a7a00", "#6a6f78")
 _LEFT, _RIGHT, _BOTTOM, _LEGEND = 58, 12, 44, 18  # px around the axes; height of a row of the legend
@@ -26,18 +26,16 @@ _MARGIN: Final = 0.04  # on each side, as a share of the values' range
 class Curve:
     """Values y (N,) over x (N,); NaN in y is a gap.
 
-    points : whether points are drawn instead of a line. std : standard deviations of y, (N,), drawn as bars.
-    frames : names of the frames of the points, to whose entries on the page they lead. hollow : points (N,) that are
-    drawn so. colour : number of the colour; that of the curve's place by default. faint : drawn in the background.
+    points : whether points are drawn instead of a line. frames : names of the frames of the points, to whose entries
+    on the page they lead. colour : number of the colour; that of the curve's place by default. faint : drawn in the
+    background.
     """
 
     name: str
     x: Float64
     y: Float64
     points: bool = False
-    std: Float64 | None = None
     frames: Sequence[str] = ()
-    hollow: Bool | None = None
     colour: int | None = None
     faint: bool = False
 
@@ -92,8 +90,7 @@ def chart_svg(chart: Chart, width: int = 680, height: int = 300) -> str:
     legend, rows = _legend(curves, colours, width) if len(curves) > 1 or curves[0].name else ("", 0)
     left, right, top, bottom = _LEFT, width - _RIGHT, 8 + rows * _LEGEND, height + rows * _LEGEND - _BOTTOM
     x_low, x_high = _range(np.concatenate([curve.x for curve in curves]), 0.0)
-    ends = [curve.y + side * (0.0 if curve.std is None else curve.std) for curve in curves for side in (-1, 1)]
-    y_low, y_high = _range(np.concatenate(ends), chart.least)
+    y_low, y_high = _range(np.concatenate([curve.y for curve in curves]), chart.least)
     if chart.equal:
         scale = max((x_high - x_low) / (right - left), (y_high - y_low) / (bottom - top))
         x_low, x_high = _about(x_low, x_high, scale * (right - left))
@@ -113,7 +110,7 @@ def chart_svg(chart: Chart, width: int = 680, height: int = 300) -> str:
     ]
     parts += _axes(chart, (x_low, x_high, left, right), (y_low, y_high, bottom, top))
     for curve in curves:
-        parts += _drawn(curve, u(curve.x), v(curve.y), colours[id(curve)], (bottom - top) / (y_high - y_low))
+        parts += _drawn(curve, u(curve.x), v(curve.y), colours[id(curve)])
     return "".join([*parts, "</svg>"])
 
 
@@ -194,8 +191,8 @@ def _texts(values: Sequence[float]) -> list[str]:
     return [f"{value + 0.0:.{digits}f}" for value in values]
 
 
-def _drawn(curve: Curve, u: Float64, v: Float64, colour: str, scale: float) -> list[str]:
-    """Return the line or the points of a curve at coordinates (N,); ``scale`` is px by unit of y."""
+def _drawn(curve: Curve, u: Float64, v: Float64, colour: str) -> list[str]:
+    """Return the line or the points of a curve at coordinates (N,)."""
     known = np.isfinite(v)
     if not curve.points:
         shown = _extremes(v)
@@ -208,11 +205,7 @@ def _drawn(curve: Curve, u: Float64, v: Float64, colour: str, scale: float) -> l
         return [f'<path d="{lines}" fill="none" stroke="{colour}" stroke-width="1.5"{faint}/>']
     parts = []
     for i in np.flatnonzero(known).tolist():
-        bar = 0.0 if curve.std is None or not np.isfinite(curve.std[i]) else scale * curve.std[i]
-        if bar:
-            parts.append(f'<path d="M{u[i]:.1f} {v[i] - bar:.1f}v{2 * bar:.1f}" stroke="{colour}"/>')
-        fill = "none" if curve.hollow is not None and curve.hollow[i] else colour
-        point = f'<circle cx="{u[i]:.1f}" cy="{v[i]:.1f}" r="3.2" stroke="{colour}" fill="{fill}"'
+        point = f'<circle cx="{u[i]:.1f}" cy="{v[i]:.1f}" r="3.2" fill="{colour}"'
         if curve.frames:
             name = curve.frames[i]
             title = f"<title>{escape(name)}: {escape(curve.name)} {curve.y[i]:.4g}</title>"

@@ -33,7 +33,6 @@ from dvrk_cmaes.results.paths import left_out_path, overlay_path
 from dvrk_cmaes.results.result import Result
 
 _STATUSES: Final = ("failed", "doubtful", "ok")
-_BARS_FOR_AT_MOST: Final = 80  # frames, of which standard deviations are drawn
 _MOST_DETAILS: Final = 300  # frames whose tables are on the page; each has a document next to the page
 
 
@@ -146,36 +145,21 @@ def session_charts(results: Sequence[Result]) -> list[Chart]:
     timed = len(times) == len(results) > 1 and max(times) > min(times)
     places = np.array(times) - min(times) if timed else np.arange(len(results), dtype=np.float64)
     across = "time from the first image, s" if timed else "frame"
-    hollow = np.array([result.status != "ok" for result in results])
-    bars, frames = len(results) <= _BARS_FOR_AT_MOST, [result.frame for result in results]
+    frames = [result.frame for result in results]
 
-    def chart(title: str, up: str, curves: Mapping[str, Sequence[float]], least: float, **more: Any) -> Chart:
-        stds = more.pop("stds", {})
-        drawn = [
-            Curve(name, places, np.array(y, np.float64), True, stds.get(name) if bars else None, frames, hollow)
-            for name, y in curves.items()
-        ]
-        return Chart(title, across, up, drawn, names=() if timed else frames, least=least, **more)
+    def chart(title: str, up: str, curves: Mapping[str, Sequence[float]], note: str) -> Chart:
+        drawn = [Curve(name, places, np.array(y, np.float64), points=True, frames=frames) for name, y in curves.items()]
+        return Chart(title, across, up, drawn, note, names=() if timed else frames, least=1.0)
 
     joints = dict.fromkeys(name for result in results for name in result.joints)
     corrections = {name: [math.degrees(_correction(result, name)) for result in results] for name in joints}
-    stds = {name: np.array([(result.std_joints_deg or {}).get(name, np.nan) for result in results]) for name in joints}
     tips = np.array([np.mean(result.tips, axis=0) if result.tips else [np.nan] * 3 for result in results]) * 1e3
-    charts = [
-        chart(
-            "Joint corrections",
-            "found - read, deg",
-            corrections,
-            1.0,
-            stds=stds,
-            note="Found less read; bars are one standard deviation, hollow points are not ok.",
-        )
-    ]
+    charts = [chart("Joint corrections", "found - read, deg", corrections, "Found less read.")]
     if np.isfinite(tips).all(axis=1).sum() > 1:
         off = tips - np.nanmedian(tips, axis=0)
         note = "Mean of the tips, mm from its median: x right, y down, z forward."
         curves = {axis: off[:, k].tolist() for k, axis in enumerate("xyz")}
-        charts.append(chart("Tips in the camera", "mm from the median", curves, 1.0, note=note))
+        charts.append(chart("Tips in the camera", "mm from the median", curves, note))
     return charts
 
 
@@ -237,7 +221,6 @@ def _calibration_parts(folder: ResultsFolder, found: SessionCalibration) -> Iter
         note += f" The same frames, each solved by itself: {ALONE}/report.html."
     yield Part(
         f"Calibration: {found.status}",
-        figures=list(_calibration_figures(found)),
         notes=[note, *calibration_lines(found)],
         tables=list(calibration_tables(found)),
         charts=[_lag_chart(found)],
@@ -254,29 +237,10 @@ def _calibration_parts(folder: ResultsFolder, found: SessionCalibration) -> Iter
         "Leave one out: each frame as the others predict it, the worst first",
         notes=[
             "Its image has no part in its prediction, only its readings have: a check that needs no truth. In the "
-            "pictures with the frames the mask is yellow, the prediction pink."
+            "pictures with the frames the mask is yellow, the prediction blue."
         ],
         tables=[Table(("frame", "IoU", "outline, median px", "IoU solved together", "status"), table, frames=True)],
     )
-
-
-def _calibration_figures(found: SessionCalibration) -> Iterator[KeyFigure]:
-    """Yield the key figures of a calibration."""
-    left = len(found.left_out)
-    total = len(found.frames) + left
-    yield KeyFigure("Frames used", f"{len(found.frames)} of {total}", f"{left} left out" if left else "none left out")
-    if found.leave_one_out:
-        overlaps = {name: iou for name, (iou, _) in found.leave_one_out.items()}
-        contours = {name: px for name, (_, px) in found.leave_one_out.items()}
-        worst, far = min(overlaps, key=lambda name: overlaps[name]), max(contours, key=lambda name: contours[name])
-        mean, median = np.mean(list(overlaps.values())), np.median(list(contours.values()))
-        yield KeyFigure("Predicted by the others, IoU", f"{mean:.3f}", f"mean; lowest {overlaps[worst]:.3f} ({worst})")
-        note = f"median; worst {contours[far]:.1f} px ({far})"
-        yield KeyFigure("Predicted by the others, outline", f"{median:.1f} px", note)
-    std = np.sqrt(np.diag(found.covariance))
-    yield KeyFigure("RCM, standard deviation", f"{1e3 * std[:3].max():.2f} mm", "along the base's least certain axis")
-    note = "about the base's least certain axis"
-    yield KeyFigure("Base's rotation, standard deviation", f"{np.degrees(std[3:6].max()):.2f}°", note)
 
 
 def _lag_chart(found: SessionCalibration) -> Chart | None:

@@ -66,6 +66,17 @@ def calibration_lines(found: SessionCalibration) -> Iterator[str]:
     if found.cables is not None:
         yield from found.cables.in_words()
     yield from (f"not determined by this session: {text}" for text in found.untold)
+    yield from _leave_one_out_lines(found)
+
+
+def _leave_one_out_lines(found: SessionCalibration) -> Iterator[str]:
+    """Yield how well each frame is predicted by the others: on average, and in each eye."""
+    for eye, frames in {"": found.leave_one_out, **found.leave_one_out_of_views}.items():
+        if frames:
+            pairs = np.array(list(frames.values()))
+            of_all = f"{len(found.frames)} frames; each predicted by the others, without its image"
+            what = f"  {eye} eye" if eye else of_all
+            yield f"{what}: mean IoU {pairs[:, 0].mean():.3f}, contour {np.median(pairs[:, 1]):.1f} px median"
 
 
 def calibration_tables(found: SessionCalibration) -> Iterator[Table]:

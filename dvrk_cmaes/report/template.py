@@ -74,14 +74,12 @@ class Entry:
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a page under a heading: key figures, texts, tables, curves and pictures."""
+    """A part of a page under a heading: texts, tables and curves."""
 
     heading: str
-    figures: Sequence[KeyFigure] = ()
     notes: Sequence[str] = ()
     tables: Sequence[Table] = ()
     charts: Sequence[Chart | None] = ()
-    pictures: Sequence[Picture] = ()
 
     @property
     def drawings(self) -> list[tuple[Chart, str]]:

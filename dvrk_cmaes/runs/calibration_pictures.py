@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.draw.left_out_overlay import draw_left_out
+from dvrk_cmaes.draw.track_overlay import draw_track
 from dvrk_cmaes.draw.view_overlays import draw_views, drawn_views
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.io.atomic import encoded_image
 from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.results.tracked import TrackView
 from dvrk_cmaes.silhouette import Body, Renderer
 
 
@@ -39,6 +38,7 @@ def draw_task(
     for view in drawn_views(data.views):
         renderer, pose = Renderer(body, view.camera, threads=1), view.view_from_camera @ left_out.camera_from_root
         predicted = renderer.masks(pose[None], left_out.joints[None])[0]
-        shown.append(draw_left_out(view.mask, predicted, left_out.iou, left_out.contour_px, image=view.image))
-    second = np.concatenate(shown, axis=1)
+        shown.append(TrackView(view.image, view.mask, predicted, (view.camera.width, view.camera.height)))
+    text = f"as the other frames predict it: IoU {left_out.iou:.3f}, contour {left_out.contour_px:.1f} px"
+    second = draw_track(shown, frame=result.frame, status=result.status, reasons=[text])
     return encoded_image("overlay.jpg", overlay), encoded_image("left_out.jpg", second)

@@ -11,9 +11,10 @@ import numpy as np
 from dvrk_cmaes import Result, SessionCalibration
 from dvrk_cmaes.calibration.blocks import BASE_AXES
 from dvrk_cmaes.calibration.cables import CablesAlone, SessionCables
-from dvrk_cmaes.draw.left_out_overlay import draw_left_out
+from dvrk_cmaes.draw.track_overlay import draw_outlines
 from dvrk_cmaes.instrument.arm import base_from_root
 from dvrk_cmaes.results.paths import left_out_path
+from dvrk_cmaes.results.tracked import TrackView
 from helpers.files import write_image, write_json
 from helpers.page_results import JOINTS, result, write_results
 from helpers.transforms import exp_rotation, moved, transform
@@ -97,7 +98,7 @@ def write_calibrated(
     write_results(out, frames)
     mask, predicted = (np.zeros((120, 160), bool) for _ in range(2))
     mask[40:80, 50:160], predicted[44:84, 40:160] = True, True
-    drawn = draw_left_out(mask, predicted, 0.8, 3.0)
+    drawn = draw_outlines([TrackView(None, mask, predicted, (160, 120))])
     for name in [frame.frame for frame in frames] if pictures is None else pictures:
         write_image(left_out_path(out, name), drawn)
     write_json(out / "session.json", session.to_dict())

@@ -37,11 +37,9 @@ def test_points_are_where_their_values_are_and_lead_to_their_frames() -> None:
     assert labels[10] == pytest.approx(points[2][1], abs=0.11)
 
 
-def test_gap_is_no_line_and_hollow_points_are_not_filled() -> None:
+def test_gap_is_no_line() -> None:
     x, y = np.arange(5.0), np.array([0.0, 1.0, np.nan, 3.0, 4.0])
     assert len(re.findall("M", line_of(drawn(Curve("a", x, y))))) == 2
-    hollow = drawn(Curve("", x, y, points=True, hollow=x > 2, std=np.full(5, 0.5)))
-    assert [point.get("fill") == "none" for point in hollow.iterfind(".//{*}circle")][-4:] == [False, False, True, True]
 
 
 def test_long_curve_keeps_its_extremes_and_gaps() -> None:
