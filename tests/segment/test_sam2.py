@@ -10,9 +10,7 @@ import pytest
 from helpers.sam2_graphs import ALL_IOUS, FAMILIES, REACH, TOOL, write_export
 
 from dvrk_cmaes.segment import Segmentation, segment
-from dvrk_cmaes.segment.sam2 import Sam2
-from dvrk_cmaes.segment.sam2_files import OnnxModel
-from dvrk_cmaes.segment.sam2_images import resize_logits
+from dvrk_cmaes.segment.sam2 import OnnxModel, Sam2, resize_logits
 
 SIZES = [(480, 640), (1080, 1920), (900, 300), (1024, 1024), (200, 150)]
 

@@ -12,10 +12,9 @@ from helpers.places import SCRIPTS
 from helpers.sam2_graphs import FAMILIES, write_export
 
 from dvrk_cmaes import DvrkCmaesError, InputError
-from dvrk_cmaes.segment.sam2 import Sam2
-from dvrk_cmaes.segment.sam2_files import open_export
+from dvrk_cmaes.segment.sam2 import Sam2, open_export
 
-INSTEAD = "use an image encoder and decoder exported by samexporter, onnxruntime, onnx-community or osam"
+EXPECTED = "expected one encoder and one decoder exported by samexporter, onnxruntime, onnx-community or osam"
 IMAGE = np.zeros((48, 64, 3), np.uint8)
 
 
@@ -30,9 +29,8 @@ def refusal(folder: Path) -> str:
 @pytest.mark.parametrize("family", FAMILIES)
 @pytest.mark.parametrize("names", [("a.onnx", "b.onnx"), ("b.onnx", "a.onnx"), ("decoder.onnx", "encoder.onnx")])
 def test_encoder_and_decoder_are_recognised_by_tensors(tmp_path: Path, family: str, names: tuple[str, str]) -> None:
-    export = open_export(write_export(tmp_path, family, names=names), threads=1)
-    assert export.family.name == family
-    assert (export.encoder.file.name, export.decoder.file.name) == names
+    encoder, decoder = open_export(write_export(tmp_path, family, names=names), threads=1)
+    assert (encoder.file.name, decoder.file.name) == names
 
 
 def test_folder_without_model_is_refused(tmp_path: Path) -> None:
@@ -43,16 +41,20 @@ def test_folder_without_model_is_refused(tmp_path: Path) -> None:
     assert refusal(file) == f"{file}: expected the folder of an exported checkpoint, got a file"
     empty = tmp_path / "empty"
     empty.mkdir()
-    assert refusal(empty) == f"{empty}: expected an exported checkpoint, got no .onnx file; {INSTEAD}"
+    assert refusal(empty) == f"{empty}: {EXPECTED}, got no .onnx file"
 
 
-@pytest.mark.parametrize(("kept", "there"), [("first", "encoder"), ("second", "decoder")])
+@pytest.mark.parametrize(
+    ("kept", "there"),
+    [
+        ("first", "encoder"),
+        ("second", "takes image_embeddings, high_res_features1, high_res_features2, point_coords, point_labels, ..."),
+    ],
+)
 def test_incomplete_export_is_refused(tmp_path: Path, kept: str, there: str) -> None:
     write_export(tmp_path, "osam")
     (tmp_path / ("second.onnx" if kept == "first" else "first.onnx")).unlink()
-    assert refusal(tmp_path) == (
-        f"{tmp_path}: expected one encoder and one decoder of an export, got {kept}.onnx ({there} of osam); {INSTEAD}"
-    )
+    assert refusal(tmp_path) == f"{tmp_path}: {EXPECTED}, got {kept}.onnx ({there})"
 
 
 @pytest.mark.parametrize("content", [b"", b"not a model", None], ids=["empty", "something else", "cut off"])
@@ -61,8 +63,7 @@ def test_damaged_model_is_named(tmp_path: Path, content: bytes | None) -> None:
     file = tmp_path / "second.onnx"
     file.write_bytes(file.read_bytes()[:3000] if content is None else content)
     assert refusal(tmp_path).startswith(
-        f"{tmp_path}: expected one encoder and one decoder of an export, got first.onnx (encoder of samexporter), "
-        "second.onnx: expected a model (ONNX); onnxruntime "
+        f"{tmp_path}: {EXPECTED}, got first.onnx (encoder), second.onnx: expected a model (ONNX); onnxruntime "
     )
 
 
