@@ -195,9 +195,8 @@ class LiveOutput:
     Parameters
     ----------
     out
-        Folder for session.json, the calibration that is found from keyframes while following by masks. The next start
-        with the same folder takes it up, and no pose is ok before images agree with it: the camera may have been moved.
-        Those of several arms are in OUT/ARM.
+        Folder for session.json, the calibration that is found from keyframes. While the camera is not moved, the next
+        start can use it by --session. Those of several arms are in OUT/ARM.
     overlay
         Publish each image with the silhouette of the pose, as JPEG.
     seconds
@@ -293,7 +292,8 @@ def _described(
     from dvrk_cmaes.io.output import output as folder_of_command
     from dvrk_cmaes.live.follow import ArmSetup, LiveSetup
     from dvrk_cmaes.results.folder import SESSION
-    from dvrk_cmaes.runs.live_session import earlier_calibration, save_calibration
+    from dvrk_cmaes.results.paths import check_writable
+    from dvrk_cmaes.runs.live_session import save_calibration
     from dvrk_cmaes.runs.pool import serving_process
     from dvrk_cmaes.runs.solver_process import SolverProcess
 
@@ -307,7 +307,7 @@ def _described(
     body = instrument.load()
     if output.out is not None and lag is not None:
         raise InputError("--out: expected no --lag: the calibration that is found has a lag of its own")
-    rig, arms = camera.rig(inputs), []
+    rig, settings, arms = camera.rig(inputs), MethodOptions(config=config).resolve(), []
     if output.out is not None:
         stack.enter_context(folder_of_command(output.out, "live"))
     for arm in topics.psm:
@@ -315,15 +315,13 @@ def _described(
         folder = None if output.out is None else output.out / (arm if len(topics.psm) > 1 else "")
         if folder is not None:
             stack.enter_context(folder_of_command(folder, "live")).refuse((SESSION,))
-        earlier = None if folder is None else earlier_calibration(folder, body.instrument, instrument.kinematics)
+            check_writable(folder)
         solver = partial(SolverProcess, body.instrument, background=True)
         save = None if folder is None else partial(save_calibration, folder)
-        arms.append(ArmSetup(names[arm], body, instrument.kinematics, known, solver, earlier, save))
+        arms.append(ArmSetup(names[arm], body, instrument.kinematics, known, solver, save, settings, lag))
     return LiveSetup(
         inputs,
         tuple(arms),
-        MethodOptions(config=config).resolve(),
-        lag,
         rig,
         camera.rectified,
         output.overlay,

@@ -24,6 +24,8 @@ from dvrk_cmaes.results.tracked import TrackResult
 
 Pixels = NDArray[np.uint8]
 Mask = Bool
+Readings = Sequence[tuple[float, Mapping[str, float]]]
+"""Times, s, and readings of joints by name, rad (insertion: m)."""
 DrawOverlay = Callable[[Pixels, TrackResult], Pixels]
 
 OLD: Final = 1.0
@@ -40,20 +42,15 @@ class LiveTracker(Protocol):
     def state(self) -> str:
         """How far the arm's base is known, in words."""
 
-    def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
-        """Add the readings of one time: joints by name, rad (insertion: m)."""
-
     def start_step(
         self,
+        readings: Readings,
         time: float,
         mask: Mapping[str, Mask] | None = None,
         image: Mapping[str, Pixels] | None = None,
         ignore: Mapping[str, Mask] | None = None,
     ) -> Callable[[], TrackResult]:
         """Begin to follow the instrument to the images of a later time; returns what waits for the result."""
-
-    def after_step(self, time: float) -> None:
-        """Begin what is due after the step to a time."""
 
 
 class LiveArm:
@@ -104,30 +101,23 @@ class LiveArm:
         self.base_state = self._tracker.state
         self._draw = None if self._make_drawing is None else self._make_drawing(rig)
 
-    def add_readings(self, readings: Sequence[JointMessage], time: int) -> int:
-        """Give readings to the tracker; returns how many are left out, as they are far from the image's time, ns."""
-        left_out = 0
-        for one in readings:
-            ahead = (one.time - time) / NANOSECONDS
-            try:
-                if abs(ahead) > LONGEST_GAP:
-                    raise InputError(f"{one.topic}: readings {ahead:+.1f} s from the images are left out")
-                self._tracker.add_readings((one.time - self._origin) / NANOSECONDS, one.joints)
-            except InputError as error:
-                left_out += 1
-                self._report(str(error))
-        return left_out
+    def start(self, readings: Sequence[JointMessage], frame: LiveFrame, arrays: Decoded) -> int:
+        """Begin to follow a frame with the readings since the last one.
 
-    def start(self, frame: LiveFrame, arrays: Decoded) -> None:
-        """Begin to follow a frame."""
+        Returns how many readings are left out, as they are far from the frame's time.
+        """
         self._frame, self._arrays = frame, arrays
+        near = []
+        for one in readings:
+            ahead = (one.time - frame.time) / NANOSECONDS
+            if abs(ahead) > LONGEST_GAP:
+                self._report(f"{one.topic}: readings {ahead:+.1f} s from the images are left out")
+            else:
+                near.append(((one.time - self._origin) / NANOSECONDS, one.joints))
         masks, ignored = arrays.masks.get(self.name), arrays.ignored(self.name)
-        self._result = self._tracker.start_step(self._seconds, masks, arrays.images or None, ignored or None)
-
-    @property
-    def _seconds(self) -> float:
-        """The time of the frame for the tracker, s."""
-        return (self._frame.time - self._origin) / NANOSECONDS
+        seconds = (frame.time - self._origin) / NANOSECONDS
+        self._result = self._tracker.start_step(near, seconds, masks, arrays.images or None, ignored or None)
+        return len(readings) - len(near)
 
     def finish(self, age: Callable[[], float], silent: Sequence[str]) -> tuple[bool, bool]:
         """Publish the result of the frame that was started, or say why there is none.
@@ -164,7 +154,6 @@ class LiveArm:
         self.ok += result.status == "ok" and not doubts
         self._told, self._ros1 = self._now(), frame.ros1
         self.wait("waiting for images")
-        self._tracker.after_step(self._seconds)
         self.base_state = self._tracker.state
 
     def _fail(self, error: Exception) -> bool:

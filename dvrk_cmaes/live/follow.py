@@ -4,30 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack, closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from threading import Event
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.errors import DvrkCmaesError, nearest_first
+from dvrk_cmaes.errors import DvrkCmaesError, InputError, nearest_first, one_line
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.short_text import listed
-from dvrk_cmaes.live.arm import DrawOverlay, LiveArm
-from dvrk_cmaes.live.arm_process import ArmProcess, Arrays, Start
+from dvrk_cmaes.live.arm import DrawOverlay, LiveArm, Readings
+from dvrk_cmaes.live.arm_process import ArmProcess, Start
 from dvrk_cmaes.live.connection import Connection, LogThrottle, Report
 from dvrk_cmaes.live.inputs import Inputs, InputTopics
 from dvrk_cmaes.live.loop import LiveCounts, LiveLoop
 from dvrk_cmaes.live.outputs import LiveOverlay, Outputs
-from dvrk_cmaes.live.solutions import LiveSolutions
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.keyframe_problem import Solver
+from dvrk_cmaes.track.keyframe_problem import SolutionSchedule, Solver
 from dvrk_cmaes.track.tracker import Tracker
+
+Arrays = Mapping[str, NDArray[Any]] | None
+"""Arrays of the eyes' images, by name."""
 
 _MOST_LISTED = 8  # topics
 _ANSWER = 2.0  # s, for the topics of a server
@@ -35,11 +39,10 @@ _ANSWER = 2.0  # s, for the topics of a server
 
 @dataclass(frozen=True, eq=False)
 class ArmSetup:
-    """An arm that is followed: its names and instrument, and what is known of its base.
+    """An arm that is followed: its names and instrument, what is known of its base, and settings.
 
-    With a ``solver``, which is made for the time of following, masks, and no given lag, the arm's base is found from
-    keyframes, which are solved meanwhile; ``earlier`` is the calibration of an earlier run, and ``save`` keeps what is
-    found.
+    With a ``solver``, which is made for the time of following, the arm's base is found from keyframes, which are solved
+    meanwhile; ``save`` keeps each calibration that is found.
     """
 
     names: FrameNames
@@ -47,8 +50,9 @@ class ArmSetup:
     kinematics: Arm = "classic"
     calibration: SessionCalibration | None = None
     solver: Callable[[], AbstractContextManager[Solver]] | None = None
-    earlier: SessionCalibration | None = None
     save: Callable[[SessionCalibration], None] | None = None
+    config: EstimateConfig | None = None
+    lag: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +66,6 @@ class LiveSetup:
 
     topics: InputTopics
     arms: tuple[ArmSetup, ...]
-    config: EstimateConfig | None = None
-    lag: float | None = None
     rig: Rig | None = None
     rectified: bool = False
     overlay: bool = False
@@ -74,12 +76,9 @@ class LiveSetup:
         """Return an arm that publishes on a connection."""
         followed: FollowedArm | ArmProcess
         if self.start_process is None or len(self.arms) == 1:
-            followed = stack.enter_context(FollowedArm(self, own, report))
+            followed = stack.enter_context(FollowedArm(own, report))
         else:
-            alone = replace(self, arms=(own,), start_process=None)
-            followed = stack.enter_context(
-                closing(ArmProcess(self.start_process, partial(FollowedArm, alone, own), report))
-            )
+            followed = stack.enter_context(closing(ArmProcess(self.start_process, partial(FollowedArm, own), report)))
         return LiveArm(
             own.names.arm,
             followed.begin,
@@ -107,57 +106,54 @@ class LiveSetup:
 class FollowedArm(ExitStack):
     """An arm that is followed in this process: its newest tracker, and the solution of its keyframes."""
 
-    def __init__(self, setup: LiveSetup, own: ArmSetup, report: Report) -> None:
+    def __init__(self, own: ArmSetup, report: Report) -> None:
         super().__init__()
-        self._setup, self._own = setup, own
-        self._solutions: LiveSolutions | None = None
-        if own.solver is not None:
-            self._solutions = LiveSolutions(self.enter_context(own.solver()), report, own.save, own.earlier)
+        self._own, self._report = own, report
+        self._solver = None if own.solver is None else self.enter_context(own.solver())
 
     def begin(self, rig: Rig) -> FollowedArm:
         """Follow anew, by these cameras."""
-        own, earlier = self._own, None
-        if self._solutions is not None and own.calibration is None:
-            earlier = self._solutions.earlier_of(rig)
-        self._tracker = tracker = Tracker(
-            rig,
-            own.body,
-            earlier or own.calibration,
-            self._setup.config,
-            arm=own.kinematics,
-            lag=self._setup.lag,
-            earlier=earlier is not None,
-            background=True,
+        own = self._own
+        self._tracker = Tracker(
+            rig, own.body, own.calibration, own.config, arm=own.kinematics, lag=own.lag, background=True
         )
-        if self._solutions is not None:
-            self._solutions.tracker = tracker
+        solver = self._solver
+        self._solutions = None if solver is None else SolutionSchedule(self._tracker, solver, at_once=True)
         return self
 
     @property
     def state(self) -> str:
         """How far the arm's base is known, in words."""
-        return "" if self._solutions is None else self._tracker.base_state
+        return "" if self._solver is None else self._tracker.base_state
 
-    def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
-        """Add the readings of one time, as `Tracker.add_readings`."""
-        self._tracker.add_readings(time, joints)
-
-    def step(self, time: float, mask: Arrays = None, image: Arrays = None, ignore: Arrays = None) -> TrackResult:
+    def step(
+        self, readings: Readings, time: float, mask: Arrays = None, image: Arrays = None, ignore: Arrays = None
+    ) -> TrackResult:
         """Use a solution that has come, and follow to the images of a later time, s, as `Tracker.step`."""
+        for when, joints in readings:
+            try:
+                self._tracker.add_readings(when, joints)
+            except InputError as error:
+                self._report(str(error))
         if self._solutions is not None:
-            self._solutions.before_step(time)
-        return self._tracker.step(time, mask, image, ignore)
-
-    def start_step(
-        self, time: float, mask: Arrays = None, image: Arrays = None, ignore: Arrays = None
-    ) -> Callable[[], TrackResult]:
-        """Return what follows to the images of a later time, s."""
-        return partial(self.step, time, mask, image, ignore)
-
-    def after_step(self, time: float) -> None:
-        """Do what is due after the step to a time, s."""
+            self._use(self._solutions, time)
+        result = self._tracker.step(time, mask, image, ignore)
         if self._solutions is not None:
             self._solutions.after_step(time)
+        return result
+
+    def start_step(self, *arguments: Any) -> Callable[[], TrackResult]:
+        """Return what does `step`, with its arguments."""
+        return partial(self.step, *arguments)
+
+    def _use(self, solutions: SolutionSchedule, time: float) -> None:
+        """Use a solution that has come, and save its calibration; an error costs a line."""
+        try:
+            found = solutions.before_step(time) and self._tracker.calibration
+            if found and self._own.save is not None:
+                self._own.save(found)
+        except Exception as error:
+            self._report(f"solution of keyframes: {one_line(error)}")
 
 
 def follow(

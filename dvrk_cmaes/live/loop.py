@@ -180,8 +180,7 @@ class LiveLoop:
             return self._ages.age(frame.time, self._inputs.now())
 
         for arm in self._arms:
-            self.counts.refused += arm.add_readings(self._inputs.readings[arm.name].take_all(), frame.time)
-            arm.start(frame, arrays)
+            self.counts.refused += arm.start(self._inputs.readings[arm.name].take_all(), frame, arrays)
         finished = [self._finish(arm, age, silent) for arm in self._arms]
         followed = any(finished)
         self.counts.published = sum(arm.published for arm in self._arms)

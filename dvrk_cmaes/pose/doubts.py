@@ -49,8 +49,6 @@ SUPPORTED: Final = 0.35, 0.5
 """The least and the largest of these two shares with which an image supports a pose at all."""
 MOST_DISAGREEING: Final = 10
 """Images in a row that disagree with the calibration, after which it does not hold any more."""
-CONFIRMING: Final = 5
-"""Images that differ from each other and agree with an earlier calibration, from which on poses by it are ok."""
 RELIED_ON: Final = 8
 """Keyframes of a solution, from which on its stated errors held; chosen on twelve recordings."""
 _SLIP = 4.0  # standard deviations beyond which a joint's reading is reported
@@ -342,13 +340,6 @@ def calibration_contradicted(images: int) -> str | None:
             f"calibration contradicted: {images} images in a row disagree with it; the base or the camera may have "
             "moved"
         )
-    return None
-
-
-def calibration_unconfirmed(agreeing: int) -> str | None:
-    """Judge the number of images that agree with a calibration of an earlier run."""
-    if agreeing < CONFIRMING:
-        return f"checking an earlier calibration: {agreeing} of {CONFIRMING} images agree"
     return None
 
 

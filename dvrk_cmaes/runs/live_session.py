@@ -8,34 +8,9 @@ import gc
 from pathlib import Path
 from typing import Final
 
-from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.results.folder import SESSION
-from dvrk_cmaes.results.paths import check_writable
-
-
-def earlier_calibration(out: Path, instrument: Instrument, arm: Arm) -> SessionCalibration | None:
-    """Read the calibration that an earlier run has left in a folder; None if there is none.
-
-    Raises
-    ------
-    InputError
-        The folder cannot be written to, or its session.json is not valid or of another instrument or arm.
-    """
-    check_writable(out)
-    path = out / SESSION
-    if not path.exists():
-        return None
-    found = read_calibration(path)
-    if (found.instrument, found.arm) != (instrument.name, arm):
-        raise InputError(
-            f"{path}: expected a calibration of instrument {instrument.name}, arm {arm}, got one of "
-            f"{found.instrument}, {found.arm}: choose another --out"
-        )
-    return found
 
 
 def save_calibration(out: Path, found: SessionCalibration) -> None:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
 from typing import Any, TypeVar
@@ -30,7 +29,7 @@ class SolverProcess(ExitStack):
     """Solves keyframes in a process of its own; a context manager.
 
     The process is started with the first problem; one in the background is at once, so that no step is delayed by it.
-    It is given one thing at a time to do, the next one with the next call of a method.
+    It is given one thing at a time to do, by a thread that waits for it.
 
     Parameters
     ----------
@@ -46,105 +45,68 @@ class SolverProcess(ExitStack):
         super().__init__()
         self._threads, self._key = threads, instrument_digest(instrument)
         self._process = self.enter_context(Pool(partial(_prepare, instrument, background), 1))
-        self.callback(self._process.kill)
-        self._call: Future[Any] | None = None  # what the process does
-        self._task: KeyframeTask | None = None  # that this estimates; None if it solves the first problem
-        self._tries = 0  # of the first problem
-        self._problems: deque[KeyframeProblem] = deque()  # not solved yet
-        self._found: deque[Solution | Exception] = deque()  # not asked for yet
-        self._tasks: dict[str, KeyframeTask] = {}  # the keyframes that no solution has estimated yet
-        self._alone: dict[str, Result | None] = {}  # what was found of these, None where that failed
-        self._solved: dict[str, Result] = {}  # the own results of the keyframes of the last solution
+        self._asking = self.enter_context(ThreadPoolExecutor(1))
+        self._ended = False
+        self.callback(self._end)
+        self._last: Future[Any] = Future()  # of what was asked for last
+        self._last.set_result(None)
+        self._wanted: set[str] = set()  # names of the keyframes of the last problem, which the next one may have again
+        self._alone: dict[str, Result | None] = {}  # what was found of single keyframes, None where that failed
         if background:
             self._process.begin()
 
-    def begin(self, problem: KeyframeProblem) -> None:
-        """Begin with a problem, after those before it; returns at once."""
-        self._problems.append(problem)
-        self._go_on()
+    def begin(self, problem: KeyframeProblem) -> Future[Solution]:
+        """Begin with a problem, after those before it; returns at once.
+
+        The solution raises DvrkCmaesError if the process died twice on it.
+        """
+        self._wanted = {keyframe.name for keyframe in problem.keyframes}
+        self._last = future = self._asking.submit(self._solved, problem)
+        return future
 
     def prepare(self, tasks: Sequence[KeyframeTask]) -> None:
-        """Estimate keyframes by themselves, each once, while there is no problem; returns at once.
+        """Estimate the next keyframe by itself, while there is nothing else to do; returns at once.
 
         ``tasks`` are all that no solution has estimated yet, in the order in which they are wanted. Others are
         forgotten.
         """
-        self._tasks = {task.keyframe.name: task for task in tasks}
-        self._alone = {name: result for name, result in self._alone.items() if name in self._tasks}
-        self._go_on()
+        if self._last.done():
+            wanted = self._wanted | {task.keyframe.name for task in tasks}
+            self._alone = {name: result for name, result in self._alone.items() if name in wanted}
+            task = next((task for task in tasks if task.keyframe.name not in self._alone), None)
+            if task is not None:
+                self._last = self._asking.submit(self._estimated, task)
 
-    @property
-    def ready(self) -> bool:
-        """Whether the next solution is there."""
-        self._go_on()
-        return bool(self._found)
+    def _estimated(self, task: KeyframeTask) -> None:
+        """Estimate a keyframe; where that fails, it is tried again, and raised, with a problem."""
+        self._alone[task.keyframe.name] = None
+        with suppress(Exception):
+            self._alone[task.keyframe.name] = self._called(_estimate, task)
 
-    def solution(self) -> Solution:
-        """Return the next solution, for which this waits.
+    def _solved(self, problem: KeyframeProblem) -> Solution:
+        """Solve a problem with what was found of its keyframes by themselves, so that none is estimated twice."""
+        known = {one.name: result for one in problem.keyframes if (result := self._alone.get(one.name)) is not None}
+        solution = self._called(_solve, replace(problem, alone={**known, **problem.alone}))
+        self._alone |= solution.alone
+        give_back_memory()
+        return solution
 
-        Raises
-        ------
-        DvrkCmaesError
-            The process died twice on it.
-        """
-        while not self._found:
-            self._go_on(wait=True)
-        found = self._found.popleft()
-        if isinstance(found, Exception):
-            raise found
-        return found
+    def _called(self, function: Callable[[str, T, int], R], task: T) -> R:
+        """Call a function with the instrument in the process; one that has died is started again, once."""
+        for _ in range(_TRIES):
+            try:
+                return self._process.submit(function, self._key, task, self._threads).result()
+            except (BrokenProcessPool, CancelledError):
+                self._process.kill()
+                if self._ended:
+                    break
+        raise DvrkCmaesError(f"keyframes: their process died {_TRIES} times: out of memory?")
 
-    def _go_on(self, *, wait: bool = False) -> None:
-        """Take what the process has done, and give it the next problem, or else the next keyframe."""
-        if self._call is not None:
-            if not (wait or self._call.done()):
-                return
-            self._take(self._call)
-        names = (name for name in self._tasks if name not in self._alone and name not in self._solved)
-        if self._problems:
-            self._task, self._call = None, self._submitted(_solve, self._with_known(self._problems[0]))
-        elif (name := next(names, None)) is not None:
-            self._task = self._tasks[name]
-            self._call = self._submitted(_estimate, self._task)
-
-    def _take(self, call: Future[Any]) -> None:
-        """Take what a call has found; a problem on which the process died is tried once more."""
-        found: Any = None
-        error: Exception | None = None
-        self._call, died = None, False
-        try:
-            found = call.result()
-        except BrokenProcessPool:
-            self._process.kill()
-            error, died = DvrkCmaesError(f"keyframes: their process died {_TRIES} times: out of memory?"), True
-        except Exception as raised:
-            error = raised
-        if self._task is not None:  # if that failed, it is tried again, and raised, with a problem
-            self._alone[self._task.keyframe.name] = found
-            return
-        self._tries += 1
-        if died and self._tries < _TRIES:
-            return
-        self._problems.popleft()
-        self._tries = 0
-        self._found.append(found if error is None else error)
-        if error is None:
-            self._solved = dict(found.alone)
-            give_back_memory()
-
-    def _with_known(self, problem: KeyframeProblem) -> KeyframeProblem:
-        """Return a problem with what was found of its keyframes by themselves, so that none is estimated twice."""
-        known, names = self._alone | {**self._solved}, {keyframe.name for keyframe in problem.keyframes}
-        alone = {name: result for name, result in known.items() if name in names and result is not None}
-        return replace(problem, alone={**alone, **problem.alone})
-
-    def _submitted(self, function: Callable[[str, T, int], R], task: T) -> Future[R]:
-        """Begin to call a function with the instrument in the process; one that has died is started again."""
-        try:
-            return self._process.submit(function, self._key, task, self._threads)
-        except BrokenProcessPool:
-            self._process.kill()
-            return self._process.submit(function, self._key, task, self._threads)
+    def _end(self) -> None:
+        """End what the process is at."""
+        self._ended = True
+        self._asking.shutdown(wait=False, cancel_futures=True)
+        self._process.kill()
 
 
 def _prepare(instrument: Instrument, background: bool) -> None:

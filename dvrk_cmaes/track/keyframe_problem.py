@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, Protocol
 
@@ -208,9 +209,9 @@ SECONDS_OF_MANY: Final = 2.0
 
 
 class Solver(Protocol):
-    """Solves keyframes beside the steps: what is asked for first is solved first."""
+    """Solves keyframes beside the steps: of the problems, what is asked for first is solved first."""
 
-    def begin(self, problem: KeyframeProblem) -> None:
+    def begin(self, problem: KeyframeProblem) -> Future[Solution]:
         """Begin with a problem, after those before it; returns at once."""
 
     def prepare(self, tasks: Sequence[KeyframeTask]) -> None:
@@ -219,48 +220,43 @@ class Solver(Protocol):
         The solutions are the same without; they are there sooner.
         """
 
-    @property
-    def ready(self) -> bool:
-        """Whether the next solution is there."""
-
-    def solution(self) -> Solution:
-        """Return the next solution, for which this waits."""
-
 
 @dataclass
 class SolutionSchedule:
-    """Gives keyframes to a solver when that is due, and each solution to the tracker a fixed time of images later.
+    """Gives keyframes to a solver when that is due, and each solution to the tracker.
 
-    What a step returns therefore does not depend on how long the solver takes: where it is not done in time, the next
-    step waits for it.
+    A solution is used a fixed time of images later, so that what a step returns does not depend on how long the solver
+    takes: where it is not done in time, the next step waits for it. With ``at_once`` it is used as soon as it is there,
+    and one problem is solved at a time.
     """
 
     tracker: Tracker
     solver: Solver
-    _due: deque[float] = field(default_factory=deque)
+    at_once: bool = False
+    _asked: deque[tuple[float, Future[Solution]]] = field(default_factory=deque)
 
-    def before_step(self, time: float) -> None:
-        """Use the solutions whose time has come, before the step to the image of a time, s."""
-        while self._due and time >= self._due[0]:
-            self._use_next()
+    def before_step(self, time: float) -> bool:
+        """Use the solutions whose time has come, before the step to the image of a time, s.
+
+        Returns whether images are followed by a new calibration. Raises what solving the keyframes raised.
+        """
+        used = False
+        while self._asked and (self._asked[0][1].done() if self.at_once else time >= self._asked[0][0]):
+            used |= self.tracker.use(self._asked.popleft()[1].result())
+        return used
 
     def after_step(self, time: float) -> None:
         """Begin to solve the keyframes if that is due after the step to the image of a time, s.
 
         Until it is, new ones are estimated by themselves.
         """
-        if self.tracker.solution_due:
+        if self.tracker.solution_due and not (self.at_once and self._asked):
             problem = self.tracker.problem()
-            self.solver.begin(problem)
             due = time + (SECONDS_OF_FEW if len(problem.keyframes) <= _FEW else SECONDS_OF_MANY)
-            self._due.append(max(due, self._due[-1]) if self._due else due)
+            due = max(due, self._asked[-1][0]) if self._asked else due
+            self._asked.append((due, self.solver.begin(problem)))
         self.solver.prepare(self.tracker.unsolved_keyframes)
 
     def finish(self) -> None:
         """Wait for the solutions of all keyframes that are being solved, and use them."""
-        while self._due:
-            self._use_next()
-
-    def _use_next(self) -> None:
-        self._due.popleft()
-        self.tracker.use(self.solver.solution())
+        self.before_step(np.inf)

@@ -13,24 +13,21 @@ from dvrk_cmaes.calibration.prediction import (
     WRIST_ERROR,
     FoundLag,
     Prediction,
-    calibration_covariance,
     endoscope_at,
     lag_and_std,
     lag_of,
 )
 from dvrk_cmaes.calibration.session_masks import changes_by_masks, covariance_of_masks
-from dvrk_cmaes.geometry import Posed, change_between
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.pose.camera_errors import covariance_by_camera
 from dvrk_cmaes.pose.doubts import (
-    CONFIRMING,
     NO_OUTER_READINGS,
     RELIED_ON,
     TIPS_NOT_ACCURATE,
     base_not_known,
     base_uncertain,
-    calibration_unconfirmed,
     readings_too_sparse,
     reasons,
     tips_not_accurate,
@@ -97,21 +94,16 @@ def confirmed_by(
 
 _BY_THE_BASE = 1.3  # of the error of the tips that is ok: the most that a first solution may leave, before any image
 _LAG_STD = 0.055  # s, largest standard deviation of a lag that keyframes tell
-_OWN_IS_ENOUGH = 32  # keyframes, from which on their solution replaces an earlier calibration in any case
+_OWN_IS_ENOUGH = 32  # keyframes, from which on their solution is used although they do not tell the lag
 _NEW_THAT_DISAGREE = 5  # keyframes, of the largest number, with which they are solved anew if images disagree
 _LATELY = 0.5  # s, since an image from which fits by a new calibration start
 _SOON = 1.0  # s, since following by a calibration began
-_SAME_BASE = 3.0  # standard deviations per parameter, within which two calibrations are of the same base
 
 
 class CalibratedFollower:
-    """Keeps keyframes, and follows by the calibration that was found from them or given; arguments as of `Tracker`.
+    """Keeps keyframes, and follows by the calibration that was found from them or given; arguments as of `Tracker`."""
 
-    ``earlier`` tells that the calibration is of an earlier run, since which the camera may have been moved: no pose by
-    it is ok before images confirm it.
-    """
-
-    def __init__(self, given: Followed, calibration: SessionCalibration | None, *, earlier: bool = False) -> None:
+    def __init__(self, given: Followed, calibration: SessionCalibration | None) -> None:
         self.store = KeyframeStore(given.rig, given.instrument.joint_names)
         self._given = given
         self._alone: dict[str, Result] = {}
@@ -120,7 +112,6 @@ class CalibratedFollower:
         self._asked: frozenset[str] = frozenset()  # names of these
         self._bases = 0  # that were given up
         self._own = False  # whether the calibration is that of the keyframes
-        self._agreeing: int | None = 0 if earlier else None  # images so far; None where none need to agree
         self._following = None if calibration is None else self._by(calibration)
         self._confirms: SessionCalibration | None = None  # that does not tell the lag: images are not followed by it
         self._began = 0.0  # s, the image from which the calibration has been followed by
@@ -150,8 +141,6 @@ class CalibratedFollower:
         known = f"base +- {tip_mm:.2g} mm" if np.isfinite(tip_mm) else "base not known yet"
         if self.calibration is None:
             return f"calibrating: {count}, {known}"
-        if self._agreeing is not None:
-            return "".join(reasons(calibration_unconfirmed(self._agreeing)))
         if not self._own:
             return f"calibration given: {count}"
         return f"{'calibrated' if self._solved.keyframes >= SOLVED_AT[-1] else 'calibrating'}: {count}, {known}"
@@ -160,9 +149,12 @@ class CalibratedFollower:
     def due(self) -> bool:
         """Whether there are more keyframes than when they were last solved, by enough that it pays.
 
-        Where the last images disagree with the calibration, one more is enough. When there are as many as are kept, a
-        third of them must be new, or some where images disagree.
+        A calibration that was given is not replaced as long as it holds. Where the last images disagree with one that
+        was found, one more keyframe is enough. When there are as many as are kept, a third of them must be new, or some
+        where images disagree.
         """
+        if self.calibration is not None and not self._own:
+            return False
         given, new = self._most_given, self.store.taken - self._taken
         waiting = given > self._solved.keyframes
         if self._following is not None and self._following.disagrees and not waiting and len(self.store) > SOLVED_AT[0]:
@@ -213,12 +205,12 @@ class CalibratedFollower:
         known = self._alone | dict(solution.alone)
         self._alone = {name: known[name] for name in self.store.names if name in known}
         self._solved = solution
-        if solution.calibration is None or solution.reason or not self._is_better(solution):
+        if solution.calibration is None or solution.reason:
             return False
         if self.calibration is None and not self._is_useful(solution):
             self._confirms = solution.calibration if solution.keyframes >= RELIED_ON else None
             return False
-        self._own, self._agreeing, self._confirms = True, None, None
+        self._own, self._confirms = True, None
         self._following = self._by(solution.calibration)
         return True
 
@@ -231,16 +223,6 @@ class CalibratedFollower:
         _, std = lag_and_std(solution.calibration, self._given.config.track.lag_std)
         known = std <= _LAG_STD or solution.keyframes >= _OWN_IS_ENOUGH
         return known and solution.tip_mm <= self._given.config.trust.tip_mm * _BY_THE_BASE
-
-    def _is_better(self, solution: Solution) -> bool:
-        """Whether a solution is to replace the calibration: one of an earlier run only if that is another or worse."""
-        now, new = self.calibration, solution.calibration
-        if now is None or new is None or self._own or solution.keyframes >= _OWN_IS_ENOUGH:
-            return True
-        before, after = calibration_covariance(now)[:6, :6], calibration_covariance(new)[:6, :6]
-        apart = change_between(now.camera_from_base, new.camera_from_base)
-        same = float(apart @ np.linalg.solve(before + after, apart)) <= _SAME_BASE**2 * len(apart)
-        return not same or float(np.trace(after[:3, :3])) < float(np.trace(before[:3, :3]))
 
     def _by(self, calibration: SessionCalibration) -> Follower:
         """Return what follows by a calibration."""
@@ -261,7 +243,7 @@ class CalibratedFollower:
     def follow(self, time: float, readings: ReadingBuffer, seen: Seen) -> TrackResult:
         """Fit an image by the calibration; if too many in a row contradict it, it does not hold any more.
 
-        Fewer are enough for one of an earlier run and, soon after it was found, for one of few keyframes.
+        Fewer are enough, soon after it was found, for one of few keyframes.
         """
         following = self._following
         assert following is not None
@@ -270,17 +252,11 @@ class CalibratedFollower:
             if self._last is not None and time - self._last[0] <= _LATELY:
                 following.start_from(self._last[1], readings.at(self._last[0] - following.late))
         result = following.follow(time, readings.at(time - following.late), seen, shows_well=self.store.shows_well)
-        wrong = following.contradicted or (self._agreeing is not None and following.disagrees)
         soon = time - self._began <= _SOON
-        if wrong or (soon and self._is_of_few and following.explains_little):
+        if following.contradicted or (soon and self._is_of_few and following.explains_little):
             self._give_up()
             return replace(result, status="doubtful" if result.status == "ok" else result.status)
-        kept = self.offer(time, readings.at(time), seen, following)
-        if result.status == "ok" and self._agreeing is not None:
-            self._agreeing += kept and following.last.misfit < INLIER_MISFIT
-            result = doubted(result, reasons(calibration_unconfirmed(self._agreeing)))
-            if self._agreeing >= CONFIRMING:
-                self._agreeing = None
+        self.offer(time, readings.at(time), seen, following)
         if result.status == "ok" and self._own:
             result = doubted(result, reasons(too_few_keyframes(self._solved.tip_mm, self._solved.keyframes)))
         if result.status == "doubtful" and self._own:
@@ -304,17 +280,16 @@ class CalibratedFollower:
     def _give_up(self) -> None:
         """Follow by the calibration no longer: images contradict it.
 
-        The base may have moved: the keyframes are forgotten. Those that are later than a calibration of an earlier run
-        are not, nor those that are to be solved once more, since a solution of few may have been wrong itself, nor
-        those of an endoscope whose readings say where it is.
+        The base may have moved: the keyframes are forgotten. Those that are to be solved once more are not, since a
+        solution of few may have been wrong itself, nor those of an endoscope whose readings say where it is.
         """
         few = self._is_of_few and len(self.store) > self._solved.keyframes
         self._following, self._solved, self._asked = None, Solution(None, "", 0, {}), frozenset()
-        if self._agreeing is None and not few and not self.store.steered:
+        if not few and not self.store.steered:
             self._bases += 1
             self._alone.clear()
             self.store.clear()
-        self._own, self._agreeing, self._confirms = False, None, None
+        self._own, self._confirms = False, None
 
     def offer(self, time: float, reading: ReadingAt, seen: Seen, following: Follower | None) -> bool:
         """Keep an image as a keyframe, if it is worth that; returns whether it is.

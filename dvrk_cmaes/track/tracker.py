@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import functools
-import threading
 import time as clock
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -37,28 +34,14 @@ from dvrk_cmaes.track.view_segmenter import EvidenceKind, Images, Masks, Seen, V
 
 _GIVEN_LAG_STD = 1e-6  # s, of a lag that is given
 
-P = ParamSpec("P")
-R = TypeVar("R")
-
-
-def _one_at_a_time(method: Callable[Concatenate[Tracker, P], R]) -> Callable[Concatenate[Tracker, P], R]:
-    """Return a method of a tracker that waits while another thread is in one of these, as a ROS executor's may be."""
-
-    @functools.wraps(method)
-    def waiting(self: Tracker, /, *args: P.args, **kwargs: P.kwargs) -> R:
-        with self._lock:
-            return method(self, *args, **kwargs)
-
-    return waiting
-
 
 class Tracker:
     """Follows one instrument by masks, images and joint readings.
 
     It keeps images with masks and readings that differ, at most 60 keyframes. `solve` finds base, lag and offsets from
     them, and after `use` every image is fitted with these, as by `dvrk-cmaes track`; until then no pose is ok. A
-    ``calibration`` is used in the same way. It reads no files, and does nothing between its steps. The same images,
-    readings, solutions and settings give the same results. Several threads may call it: each waits for the others.
+    ``calibration`` is used in the same way, until images contradict it. It reads no files, and does nothing between its
+    steps. The same images, readings, solutions and settings give the same results. One thread at a time may call it.
 
     Parameters
     ----------
@@ -81,9 +64,6 @@ class Tracker:
         other images masks are found by colours, which are learned wherever a pose explains an image.
     hints
         Where the instrument is in the first image, of the first view, if that has no mask.
-    earlier
-        The calibration is of an earlier run, since which the camera may have been moved: no pose by it is ok before
-        five images that differ agree with it, and it is given up if images contradict it.
     background
         No step waits for the search of an image: it is done in a thread while the next steps go on, and what it finds
         is followed to the image that is present then. Until the first pose, steps say ``searching``. Otherwise the
@@ -106,7 +86,6 @@ class Tracker:
         lag: float | None = None,
         evidence: EvidenceKind | None = None,
         hints: Hints | None = None,
-        earlier: bool = False,
         background: bool = False,
     ) -> None:
         settings = EstimateConfig() if config is None else config
@@ -128,17 +107,10 @@ class Tracker:
         self._readings = ReadingBuffer(self._names, track.reading_gap, track.still_seconds)
         self._segmenter = ViewSegmenter(rig, self._body, track, evidence, hints)
         given = Followed(rig, self._body, used_arm, settings, self._segmenter)
-        self._known = CalibratedFollower(given, calibration, earlier=earlier)
+        self._known = CalibratedFollower(given, calibration)
         self._unknown = UnknownBase(given, background)
         self._renderer = Renderer(self._body, rig.views[0].camera)
         self._time: float | None = None
-        self._lock = threading.RLock()
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_lock"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state, _lock=threading.RLock())
 
     @property
     def lag(self) -> FoundLag | None:
@@ -169,7 +141,6 @@ class Tracker:
         """Whether the search of an image goes on in the background."""
         return self._unknown.searching
 
-    @_one_at_a_time
     def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
         """Add the readings of one time, s: joints by name, rad (insertion: m), any of which may be missing.
 
@@ -199,7 +170,6 @@ class Tracker:
         """Whether solving the keyframes anew pays: at some numbers of them, and where images disagree."""
         return self._known.due
 
-    @_one_at_a_time
     def problem(self) -> KeyframeProblem:
         """Return what the keyframes pose to be solved, which another process can do (`KeyframeProblem.solve`)."""
         return self._known.problem()
@@ -213,7 +183,6 @@ class Tracker:
         """Solve the keyframes together: base, lag, offsets. That takes seconds, and changes nothing until `use`."""
         return self.problem().solve(self._body)
 
-    @_one_at_a_time
     def use(self, solution: Solution) -> bool:
         """Follow by a solution from the next step on; returns whether it has a calibration that predicts its frames.
 
@@ -225,7 +194,6 @@ class Tracker:
         check_type("use", solution, Solution, "what Tracker.solve returns")
         return self._known.use(solution)
 
-    @_one_at_a_time
     def start(self, time: float, result: Result, image: Images | None = None) -> None:
         """Start, or start again, from the result of a single frame taken at a time, s.
 
@@ -256,7 +224,6 @@ class Tracker:
         self._unknown.start(time, result, seen)
         self._time = time
 
-    @_one_at_a_time
     def step(
         self, time: float, mask: Masks | None = None, image: Images | None = None, ignore: Masks | None = None
     ) -> TrackResult:

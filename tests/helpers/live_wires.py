@@ -68,8 +68,8 @@ class Stage(Connection):
             self.receivers[topic](fields)
 
 
-class NothingBeside:
-    """What a tracker has besides its steps, where nothing goes on beside them."""
+class Steps:
+    """A tracker whose steps are begun and waited for."""
 
     state = ""
 
@@ -78,8 +78,6 @@ class NothingBeside:
 
     def step(self, *arguments: Any) -> Any:
         raise NotImplementedError
-
-    def after_step(self, time: float) -> None: ...
 
 
 @dataclass(frozen=True)

@@ -102,8 +102,6 @@ class Faulty:
         self.report("a line")
         raise ValueError("a fault of the tracker")
 
-    def after_step(self, time: float) -> None: ...
-
 
 def test_step_that_fails_does_not_end_the_process() -> None:
     lines, others = list[str](), workers()
@@ -111,7 +109,7 @@ def test_step_that_fails_does_not_end_the_process() -> None:
     (process,) = workers(others)
     for _ in range(2):
         with pytest.raises(ValueError, match="a fault of the tracker"):
-            tracker.start_step(0.0)()
+            tracker.start_step([], 0.0)()
     assert (lines, tracker.state) == (["a line"] * 2, "faulty")
     tracker.close()
     assert not process.is_running()

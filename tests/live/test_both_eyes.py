@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.live_wires import BEGIN, SECOND, Found, NothingBeside, Wire, image, info, stamp
+from helpers.live_wires import BEGIN, SECOND, Found, Steps, Wire, image, info, stamp
 from helpers.transforms import moved
 
 from dvrk_cmaes import Camera, Rig
@@ -39,17 +39,13 @@ class Clock:
 
 
 @dataclass
-class Tracker(NothingBeside):
+class Tracker(Steps):
     """Keeps what it was given."""
 
     rig: Rig
     steps: list[tuple[float, Any, Any, Any]] = field(default_factory=list)
-    readings: int = 0
 
-    def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
-        self.readings += 1
-
-    def step(self, time: float, mask: Any = None, image: Any = None, ignore: Any = None) -> Found:
+    def step(self, readings: Any, time: float, mask: Any = None, image: Any = None, ignore: Any = None) -> Found:
         self.steps.append((time, mask, image, ignore))
         return Found(camera_from_base=BASE)
 

@@ -1,117 +1,103 @@
-"""Solutions beside the loop of `live`: when they are used, saved and taken up again."""
+"""Solutions of keyframes beside the steps of an arm that is followed live: when they are used and saved."""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Sequence
+from concurrent.futures import Future
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, cast
 
 import pytest
-from helpers.page_calibrations import calibration
+from helpers.moving_worlds import MovingWorld, moving_world
 
-from dvrk_cmaes import DvrkCmaesError, InputError, prepare
-from dvrk_cmaes.live.solutions import LiveSolutions
-from dvrk_cmaes.runs.live_session import earlier_calibration, save_calibration
+from dvrk_cmaes import DvrkCmaesError, EstimateConfig, KeyframeProblem, Rig, SessionCalibration, Solution
+from dvrk_cmaes.config import TrustConfig
+from dvrk_cmaes.export.frames import FrameNames
+from dvrk_cmaes.live.follow import ArmSetup, FollowedArm
+from dvrk_cmaes.track.keyframe_problem import KeyframeTask
 
-
-@dataclass
-class FakeTracker:
-    """Wants its keyframes solved as long as none were."""
-
-    used: list[str] = field(default_factory=list)
-    accepts: bool = True
-    unsolved_keyframes: tuple[str, ...] = ("0.1", "0.4")
-
-    @property
-    def solution_due(self) -> bool:
-        return not self.used
-
-    def problem(self) -> str:
-        return "problem"
-
-    def use(self, solution: str) -> bool:
-        self.used.append(solution)
-        return self.accepts
-
-    @property
-    def calibration(self) -> str:
-        return f"calibration by {self.used[-1]}"
+CONFIG = EstimateConfig(trust=TrustConfig(tip_mm=3.0))  # small images tell less about the depth
 
 
 @dataclass
 class FakeSolver:
-    """Is done when it is told to be."""
+    """Has solved a problem when it is told to have."""
 
-    ready: bool = False
-    begun: int = 0
-    error: Exception | None = None
-    prepared: list[str] = field(default_factory=list)
+    problems: list[KeyframeProblem] = field(default_factory=list)
+    futures: list[Future[Solution]] = field(default_factory=list)
+    wanted: list[str] = field(default_factory=list)
 
-    def prepare(self, tasks: tuple[str, ...]) -> None:
-        self.prepared += [task for task in tasks if task not in self.prepared]
+    def begin(self, problem: KeyframeProblem) -> Future[Solution]:
+        self.problems.append(problem)
+        self.futures.append(Future())
+        return self.futures[-1]
 
-    def begin(self, problem: str) -> None:
-        self.begun += 1
-
-    def solution(self) -> str:
-        self.ready = False
-        if self.error is not None:
-            raise self.error
-        return f"solution {self.begun}"
+    def prepare(self, tasks: Sequence[KeyframeTask]) -> None:
+        self.wanted = [task.keyframe.name for task in tasks]
 
 
-def solutions_of(solver: FakeSolver, tracker: FakeTracker, lines: list[str], saved: list[Any]) -> LiveSolutions:
-    made = LiveSolutions(cast(Any, solver), lines.append, saved.append)
-    made.tracker = cast(Any, tracker)
-    return made
+@dataclass
+class Live:
+    """An arm that is followed, with its solver, and what it reports and saves."""
+
+    world: MovingWorld
+    solver: FakeSolver = field(default_factory=FakeSolver)
+    lines: list[str] = field(default_factory=list)
+    saved: list[SessionCalibration] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        @contextmanager
+        def solver() -> Any:
+            yield self.solver
+
+        body = self.world.body
+        setup = ArmSetup(FrameNames("PSM1"), body, solver=cast(Any, solver), save=self.saved.append, config=CONFIG)
+        self.arm = FollowedArm(setup, self.lines.append).begin(Rig.of(self.world.camera))
+
+    def step(self, k: int) -> None:
+        """Follow to an image."""
+        k %= len(self.world.masks)
+        masks = {"left": self.world.masks[k]}
+        self.arm.step([(self.world.time(k), self.world.readings[k])], self.world.time(k), masks)
 
 
-def test_solution_is_used_and_saved_when_it_is_there_and_no_step_waits_for_it() -> None:
-    solver, tracker, lines, saved = FakeSolver(), FakeTracker(), list[str](), list[Any]()
-    solutions = solutions_of(solver, tracker, lines, saved)
-    for _ in range(5):
-        solutions.before_step(0.0)
-        solutions.after_step(0.0)
-    assert (solver.begun, tracker.used, saved) == (1, [], [])
-    assert solver.prepared == ["0.1", "0.4"]
-    solver.ready = True
-    solutions.before_step(0.0)
-    assert (tracker.used, saved) == (["solution 1"], ["calibration by solution 1"])
-    assert solutions.earlier == saved[0]
+@pytest.fixture
+def live() -> Live:
+    """Images of which some are kept as keyframes, whose problem is asked for."""
+    found = Live(moving_world(right=0.004))
+    for k in range(len(found.world.masks)):
+        found.step(k)
+        time.sleep(0.05)  # for the search of the first image, in the background
+        if found.solver.problems:
+            break
+    return found
 
 
-def test_solution_for_a_tracker_that_began_anew_since_is_dropped() -> None:
-    solver, tracker, saved = FakeSolver(), FakeTracker(), list[Any]()
-    solutions = solutions_of(solver, tracker, [], saved)
-    solutions.after_step(0.0)
-    later = FakeTracker()
-    solutions.tracker = cast(Any, later)
-    solver.ready = True
-    solutions.before_step(0.0)
-    assert (tracker.used, later.used, saved) == ([], [], [])
-    solutions.after_step(0.0)
-    assert solver.begun == 2
+def test_solution_is_used_and_saved_when_it_is_there_and_no_step_waits_for_it(live: Live) -> None:
+    solver, last = live.solver, 30
+    assert len(solver.problems) == 1
+    assert solver.wanted[: len(solver.problems[0].keyframes)]
+    live.step(last)
+    assert live.saved == []
+    solution = solver.problems[0].solve(live.world.body)
+    better = Solution(solution.calibration, "", 40, solution.alone, solution.base, 0.5)
+    solver.futures[0].set_result(better)
+    live.step(last + 1)
+    assert live.saved == [solution.calibration]
 
 
-def test_solver_that_fails_costs_one_line_and_is_not_asked_again_at_once() -> None:
-    solver, lines = FakeSolver(error=DvrkCmaesError("its process died")), list[str]()
-    solutions = solutions_of(solver, FakeTracker(), lines, [])
-    solutions.after_step(0.0)
-    solver.ready = True
-    for _ in range(3):
-        solutions.before_step(0.0)
-        solutions.after_step(0.0)
-    assert lines == ["keyframes could not be solved: its process died"]
-    assert solver.begun == 1
+def test_solution_for_a_tracker_that_began_anew_since_is_dropped(live: Live) -> None:
+    live.arm.begin(Rig.of(live.world.camera))
+    live.solver.futures[0].set_result(Solution(None, "of the tracker before", 40, {}))
+    live.step(-1)
+    assert "of the tracker before" not in live.arm.state
+    assert live.saved == []
 
 
-def test_calibration_that_was_saved_is_taken_up_again(tmp_path: Path) -> None:
-    found, instrument = calibration([]), prepare("lnd").instrument
-    assert earlier_calibration(tmp_path / "kept", instrument, "classic") is None
-    save_calibration(tmp_path / "kept", found)
-    again = earlier_calibration(tmp_path / "kept", instrument, "classic")
-    assert again is not None
-    assert again.to_dict()["camera_from_base"] == found.to_dict()["camera_from_base"]
-    assert again.offsets == pytest.approx(found.offsets, abs=1e-9)
-    with pytest.raises(InputError, match="arm si, got one of lnd, classic: choose another --out"):
-        earlier_calibration(tmp_path / "kept", instrument, "si")
+def test_solver_that_fails_costs_one_line(live: Live) -> None:
+    live.solver.futures[0].set_exception(DvrkCmaesError("its process died"))
+    for k in (-3, -2, -1):
+        live.step(k)
+    assert live.lines == ["solution of keyframes: its process died"]

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import pytest
 from examples.play_session import RosbridgeServer
-from helpers.live_wires import BEGIN, SECOND, Found, NothingBeside, Wire, stamp
+from helpers.live_wires import BEGIN, SECOND, Found, Steps, Wire, stamp
 from helpers.waiting import wait_for
 
 from dvrk_cmaes import Camera, Rig
@@ -30,17 +30,13 @@ TOPICS = InputTopics({"left": EyeTopics.of(IMAGE)}, {"PSM1": (JOINTS,)})
 
 
 @dataclass
-class Follower(NothingBeside):
+class Follower(Steps):
     """A tracker that keeps the times it was given, and raises the errors it was told to."""
 
     errors: list[Exception]
     times: list[float] = field(default_factory=list)
-    readings: list[float] = field(default_factory=list)
 
-    def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
-        self.readings.append(time)
-
-    def step(self, time: float, mask: Any = None, image: Any = None, ignore: Any = None) -> Found:
+    def step(self, readings: Any, time: float, mask: Any = None, image: Any = None, ignore: Any = None) -> Found:
         assert not self.times or time > self.times[-1]
         if self.errors:
             raise self.errors.pop()

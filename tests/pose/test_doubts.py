@@ -160,7 +160,6 @@ EXAMPLES: list[tuple[str, str, tuple[Any, ...], tuple[Any, ...]]] = [
     ("readings too sparse", "readings_too_sparse", (SPARSE[0],), (SPARSE[1],)),
     ("readings frozen since frame 7", "readings_frozen", ("7",), ("",)),
     ("calibration contradicted", "calibration_contradicted", (10,), (9,)),
-    ("checking an earlier calibration", "calibration_unconfirmed", (4,), (5,)),
     ("too few keyframes to rely on", "too_few_keyframes", (1.2, 7), (1.2, 8)),
     BASE,
     ("black image", "image_black", (3, 4), (5, 4)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from typing import Any, cast
 
@@ -25,13 +25,12 @@ def started_since(before: set[int]) -> list[psutil.Process]:
 @pytest.mark.parametrize("background", [False, True])
 def test_process_in_the_background_starts_before_the_first_problem(*, background: bool) -> None:
     before = {child.pid for child in psutil.Process().children(recursive=True)}
-    with SolverProcess(prepare("lnd").instrument, background=background) as solver:
+    with SolverProcess(prepare("lnd").instrument, background=background):
         if background:
             wait_for(lambda: started_since(before))
         else:
             time.sleep(1)
             assert not started_since(before)
-        assert not solver.ready
     assert not started_since(before)
 
 
@@ -48,15 +47,15 @@ class FakeProcess:
     def __init__(self) -> None:
         self.estimated: list[str] = []
         self.problems: list[dict[str, str]] = []
-        self.busy: list[Future[Any]] | None = None
+        self.busy = False
+        self.waiting: list[Future[Any]] = []
 
     def submit(self, function: Callable[..., Any], key: str, given: Any, threads: int) -> Future[Any]:
-        future = Future[Any]()
-        answer = self._answer(function, given)
-        if self.busy is None:
-            future.set_result(answer)
+        future, answer = Future[Any](), self._answer(function, given)
+        if self.busy:
+            self.waiting.append(future)
         else:
-            self.busy.append(future)
+            future.set_result(answer)
         return future
 
     def _answer(self, function: Callable[..., Any], given: Any) -> Any:
@@ -71,6 +70,7 @@ class FakeProcess:
 
 RIG, CONFIG = Rig.of(Camera(160, 120, 200.0, 200.0, 80.0, 60.0)), EstimateConfig()
 TASKS = [KeyframeTask(Keyframe(0.1 * k, {}, {}, {}, {}), RIG, CONFIG) for k in range(40)]
+NAMES = [task.keyframe.name for task in TASKS]
 
 
 def problem(*numbers: int) -> KeyframeProblem:
@@ -78,53 +78,78 @@ def problem(*numbers: int) -> KeyframeProblem:
     return KeyframeProblem(keyframes, ReadingSeries("s", {}, {}, {}, 0.1), RIG, "classic", CONFIG)
 
 
-def test_keyframes_are_estimated_ahead_of_their_problem_each_once() -> None:
+@pytest.fixture
+def solver() -> Iterator[tuple[SolverProcess, FakeProcess]]:
     process = FakeProcess()
-    with SolverProcess(prepare("lnd").instrument) as solver:
-        solver._process = cast(Any, process)
-        for known in (1, 2, 2):
-            solver.prepare(TASKS[:known])
-        for count in (3, 4):  # of which the last ones were not estimated ahead
-            solver.begin(problem(*range(count)))
-            solver.prepare(TASKS[:count])
-        first, second = solver.solution(), solver.solution()
-    names = [task.keyframe.name for task in TASKS]
-    assert process.estimated == names[:2]
+    with SolverProcess(prepare("lnd").instrument) as made:
+        made._process = cast(Any, process)
+        yield made, process
+
+
+def prepared(solver: SolverProcess, tasks: list[KeyframeTask]) -> None:
+    """Ask for keyframes until nothing more is done for them."""
+    for _ in range(len(tasks) + 1):
+        wait_for(lambda: solver._last.done())
+        solver.prepare(tasks)
+    wait_for(lambda: solver._last.done())
+
+
+def test_keyframes_are_estimated_ahead_of_their_problem_each_once(solver: tuple[SolverProcess, FakeProcess]) -> None:
+    made, process = solver
+    for known in (1, 2, 2):
+        prepared(made, TASKS[:known])
+    found = [made.begin(problem(*range(count))) for count in (3, 4)]  # of which the last ones were not estimated ahead
+    assert [one.result(10).keyframes for one in found] == [3, 4]
+    assert process.estimated == NAMES[:2]
     assert process.problems == [
-        {name: f"result of {name}" for name in names[:2]},
-        {name: f"solved {name}" for name in names[:3]},
+        {name: f"result of {name}" for name in NAMES[:2]},
+        {name: f"solved {name}" for name in NAMES[:3]},
     ]
-    assert (first.keyframes, second.keyframes) == (3, 4)
 
 
-def test_problem_does_not_wait_for_more_than_one_keyframe_that_is_estimated_ahead() -> None:
-    process = FakeProcess()
-    with SolverProcess(prepare("lnd").instrument) as solver:
-        solver._process = cast(Any, process)
-        process.busy = []
-        solver.prepare(TASKS[:4])
-        solver.begin(problem(2))
-        assert not solver.ready
-        process.busy.pop().set_result("result")
-        process.busy = None
-        solver.solution()
-        for _ in range(4):
-            solver.prepare(TASKS[:4])
+def test_problem_does_not_wait_for_more_than_one_keyframe_that_is_estimated_ahead(
+    solver: tuple[SolverProcess, FakeProcess],
+) -> None:
+    made, process = solver
+    process.busy = True
+    made.prepare(TASKS[:4])
+    wait_for(lambda: bool(process.waiting))
+    for _ in range(3):
+        made.prepare(TASKS[:4])
+    found = made.begin(problem(2))
+    process.busy = False
+    process.waiting.pop().set_result("result")
+    assert found.result(10).keyframes == 1
+    prepared(made, TASKS[:4])
     assert process.problems == [{}]
-    assert process.estimated == [TASKS[k].keyframe.name for k in (0, 1, 3)]  # the problem has estimated the other one
+    assert process.estimated == [NAMES[k] for k in (0, 1, 3)]  # the problem has estimated the other one
 
 
-def test_keyframes_that_others_replace_are_not_estimated_and_forgotten() -> None:
-    process = FakeProcess()
-    with SolverProcess(prepare("lnd").instrument) as solver:
-        solver._process = cast(Any, process)
-        process.busy = []
-        for k in range(30):  # of three that are kept, the oldest one is replaced
-            solver.prepare(TASKS[k : k + 3])
-        assert process.estimated == [TASKS[0].keyframe.name]
-        process.busy.pop().set_result("result")
-        process.busy = None
-        for _ in range(4):
-            solver.prepare(TASKS[29:32])
-        assert process.estimated[1:] == [task.keyframe.name for task in TASKS[29:32]]
-        assert set(solver._alone) == {task.keyframe.name for task in TASKS[29:32]}
+def test_keyframes_that_others_replace_are_not_estimated_and_forgotten(
+    solver: tuple[SolverProcess, FakeProcess],
+) -> None:
+    made, process = solver
+    process.busy = True
+    made.prepare(TASKS[:3])
+    wait_for(lambda: bool(process.waiting))
+    for k in range(1, 30):  # of three that are kept, the oldest one is replaced
+        made.prepare(TASKS[k : k + 3])
+    process.busy = False
+    process.waiting.pop().set_result("result")
+    prepared(made, TASKS[29:32])
+    assert process.estimated == [NAMES[0], *NAMES[29:32]]
+    assert set(made._alone) == set(NAMES[29:32])
+
+
+def test_keyframe_that_cannot_be_estimated_ahead_is_left_to_its_problem(
+    solver: tuple[SolverProcess, FakeProcess],
+) -> None:
+    made, process = solver
+    process.busy = True
+    made.prepare(TASKS[:1])
+    wait_for(lambda: bool(process.waiting))
+    process.busy = False
+    process.waiting.pop().set_exception(ValueError("a fault"))
+    prepared(made, TASKS[:1])
+    assert made.begin(problem(0)).result(10).keyframes == 1
+    assert process.estimated == NAMES[:1]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import threading
 import time
 from dataclasses import replace
 
@@ -253,26 +252,3 @@ def test_step_does_not_wait_for_a_search_in_the_background(world: MovingWorld) -
     assert all(result.reasons == ("searching: the image of 0.000 s",) for result in results[:-1])
     assert all(result.searched for result in results)
     assert world.error_mm(len(results) - 1, results[-1]) < 1.5
-
-
-def test_two_threads_may_step_one_tracker(world: MovingWorld) -> None:
-    tracker = Tracker(world.camera, world.body, background=True, lag=0.0)
-    together = threading.Barrier(2)
-    found, refused = list[TrackResult](), list[str]()
-
-    def steps(later: float) -> None:
-        for k in range(12):
-            together.wait(timeout=60)
-            try:
-                found.append(tracker.step(world.time(k) + later, world.masks[k]))
-            except InputError as error:
-                refused.append(str(error))
-
-    threads = [threading.Thread(target=steps, args=(later,), daemon=True) for later in (0.0, 1e-3)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(timeout=60)
-    assert not any(thread.is_alive() for thread in threads)
-    assert len(found) + len(refused) == 24
-    assert all("later than" in text for text in refused)
