@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import roslibpy
 from examples.play_session import RosbridgeServer
-from helpers.live_wires import NothingBeside
+from helpers.live_wires import Steps
 from helpers.made_recordings import ARM, BEGIN, HEIGHT, SECOND, WIDTH, pixels, sweep
 from helpers.transforms import moved
 from helpers.waiting import wait_for
@@ -53,17 +53,15 @@ class Step:
 
 
 @dataclass
-class Recorder(NothingBeside):
+class Recorder(Steps):
     """A tracker that gives the last readings as joints, and keeps what it was given."""
 
     readings: list[tuple[float, Mapping[str, float]]] = field(default_factory=list)
     steps: list[tuple[float, Any, Any]] = field(default_factory=list)
     lost: bool = False
 
-    def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
-        self.readings.append((time, joints))
-
-    def step(self, time: float, mask: Any = None, image: Any = None, ignore: Any = None) -> Step:
+    def step(self, readings: Any, time: float, mask: Any = None, image: Any = None, ignore: Any = None) -> Step:
+        self.readings += readings
         if self.steps and time <= self.steps[-1][0]:
             raise InputError(f"time: expected more than {self.steps[-1][0]:g} s, got {time:g}")
         self.steps.append((time, mask, image))
