@@ -34,7 +34,6 @@ _METAL: Final = (190, 190, 196)
 _EYE: Final = (0.09, -0.08, -0.09)  # m in the camera, from where the view in space is looked at
 _LOOKED_AT: Final = (0.0, 0.0, 0.08)
 _LEVELS: Final = {"ok": "INFO", "doubtful": "WARN"}  # of a text; ERROR for other statuses
-_COLOURS: Final = {"ok": (0, 158, 115), "doubtful": (240, 228, 66), "lost": (213, 94, 0), "gone": (130, 130, 130)}
 
 
 def check_rerun(option: str, path: Path) -> None:
@@ -90,7 +89,6 @@ class RerunFile:
         self._rerun, self._stream, self._instrument = _library(), stream, instrument
         self._entities = _camera_entities(rig)
         self._status: str | None = None
-        self._solved = 0
         rr = self._rerun
         self._static("/", rr.ViewCoordinates.RDF)
         for entity, view in zip(self._entities, rig.views, strict=True):
@@ -100,7 +98,6 @@ class RerunFile:
             matrix = view.camera.matrix
             matrix[:2, 2] += _HALF
             self._static(entity, rr.Pinhole(image_from_camera=matrix, resolution=size, image_plane_distance=0.05))
-        self._static("status", rr.StateConfiguration(values=list(_COLOURS), colors=list(_COLOURS.values())))
         for link in instrument.links:
             normals = trimesh.Trimesh(link.vertices, link.faces, process=False).vertex_normals
             mesh = rr.Mesh3D(
@@ -136,22 +133,7 @@ class RerunFile:
             self._scalar(f"offsets/{_part(name)}", np.degrees(value))
         if row["std"] and row["std"].get("tip_mm") is not None:
             self._scalar("std/tips_mm", row["std"]["tip_mm"])
-        self._base(row)
         self._say(row)
-
-    def _base(self, row: Mapping[str, Any]) -> None:
-        """Log how far the base is known, and each new solution of keyframes, where it was found on the way."""
-        base = row.get("base")
-        if base is None:
-            return
-        for name in ("keyframes", "solved", "tip_mm"):
-            self._scalar(f"base/{name}", np.nan if base[name] is None else base[name])
-        if base["solved"] != self._solved:
-            far = "" if base["tip_mm"] is None else f", tips to {base['tip_mm']:.1f} mm"
-            used = "base known" if base["used"] else "base not known yet"
-            text = f"{row['frame']}: {base['solved']} keyframes solved{far}: {used}"
-            self._log("reasons", self._rerun.TextLog(text, level="INFO"))
-        self._solved = base["solved"]
 
     def _pictures(self, entity: str, view: TrackView) -> None:
         """Log image, mask and outline below a camera's entity; those that are missing are cleared."""
@@ -195,8 +177,6 @@ class RerunFile:
     def _say(self, row: Mapping[str, Any]) -> None:
         """Log the status where it changes, and the reasons."""
         status = row["status"]
-        if status != self._status:
-            self._log("status", self._rerun.StateChange(state=status))
         if status != self._status or row["reasons"]:
             text = f"{row['frame']}: {status}" + "".join(f"; {reason}" for reason in row["reasons"])
             self._log("reasons", self._rerun.TextLog(text, level=_LEVELS.get(status, "ERROR")))
@@ -243,8 +223,6 @@ def _blueprint(rig: Rig) -> Any:
     curves = [
         views.TimeSeriesView(origin="joints", name="joints, deg"),
         views.TimeSeriesView(origin="offsets", name="offsets, deg: true = reading + offset"),
-        views.TimeSeriesView(origin="base", name="keyframes; error that the base leaves, mm"),
-        views.StateTimelineView(origin="status", name="status"),
     ]
     eye = views.EyeControls3D(position=_EYE, look_target=_LOOKED_AT, eye_up=(0, -1, 0))
     entities = _camera_entities(rig)

@@ -21,24 +21,20 @@ from dvrk_cmaes.results.tracked import TrackView
 
 PAGE: Final = "report.html"
 MOST_PICTURES: Final = 240
-SWITCHED: Final = "switched"
 _WIDTH: Final = 320  # px, of a picture of a view
 _QUALITY: Final = 35  # of WebP
-_STATUSES: Final = ("ok", "doubtful", "lost", "gone")
-_WORST: Final = ("gone", "lost", "doubtful", SWITCHED)
-_REASON_OF_SWITCH: Final = "switched to "
+_STATUSES: Final = ("ok", "doubtful", "lost")
 _MOST_EVENTS: Final = 200
 
 
 @dataclass(frozen=True)
 class TrackEvent:
-    """A stretch of doubtful poses or without a supported pose, or a change of the mode.
+    """A stretch of frames of one status that is not ok.
 
-    kind : the status of its first frame, or ``switched``. first : index of its first frame. frames : their number.
-    reason : of the first frame.
+    status : of its frames. first : index of its first frame. frames : their number. reason : of the first frame.
     """
 
-    kind: str
+    status: str
     first: int
     frames: int
     reason: str
@@ -107,24 +103,11 @@ def chosen_frames(rows: Sequence[Mapping[str, Any]], most: int = MOST_PICTURES) 
 def track_events(rows: Sequence[Mapping[str, Any]]) -> list[TrackEvent]:
     """List what happened in a recording, given by its lines of tracks.jsonl: the worst first, then the longest."""
     found: list[TrackEvent] = []
-    for bad, stretch in groupby(range(len(rows)), lambda k: _badness(rows[k]["status"])):
-        numbers = list(stretch)
-        switches = {k: text for k in numbers if bad < 2 and (text := _switch(rows[k]["reasons"]))}
-        if bad and len(switches) < len(numbers):
-            first = rows[numbers[0]]
-            found.append(TrackEvent(first["status"], numbers[0], len(numbers), next(iter(first["reasons"]), "")))
-        found += [TrackEvent(SWITCHED, k, 1, text) for k, text in switches.items()]
-    return sorted(found, key=lambda event: (_WORST.index(event.kind), -event.frames, event.first))
-
-
-def _badness(status: str) -> int:
-    """Return 0 for an ok pose, 1 for a doubtful one, 2 without a supported one."""
-    return {"ok": 0, "doubtful": 1}.get(status, 2)
-
-
-def _switch(reasons: Sequence[str]) -> str:
-    """Return the reason that says that the mode was changed; empty without one."""
-    return next((reason for reason in reasons if reason.startswith(_REASON_OF_SWITCH)), "")
+    for status, stretch in groupby(range(len(rows)), lambda k: str(rows[k]["status"])):
+        first, *more = stretch
+        if status != "ok":
+            found.append(TrackEvent(status, first, 1 + len(more), next(iter(rows[first]["reasons"]), "")))
+    return sorted(found, key=lambda event: (-_STATUSES.index(event.status), -event.frames, event.first))
 
 
 def write_track_page(out: Path, recording: FollowedRecording) -> Path:
@@ -144,8 +127,8 @@ def track_page(recording: FollowedRecording) -> Page:
         when = f"at {times[event.first]:.2f} s: " if recording.timed else ""
         pictures = [Picture(recording.pictures[event.first])] if event.first in recording.pictures else []
         seek = numbers.index(event.first) if pictures else None
-        lines = [f"{when}{stretch}"]
-        entries.append(Entry(row["frame"], event.kind, pictures, lines, [event.reason] * bool(event.reason), seek=seek))
+        reasons = [event.reason] if event.reason else []
+        entries.append(Entry(row["frame"], event.status, pictures, [f"{when}{stretch}"], reasons, seek=seek))
     notes = [f"{len(events) - _MOST_EVENTS} more places to look at."] if len(events) > _MOST_EVENTS else []
     player = Player(
         [rows[k]["frame"] for k in numbers],
@@ -158,7 +141,7 @@ def track_page(recording: FollowedRecording) -> Page:
         "A followed recording",
         f"{recording.session} · {len(rows)} frame{'' if len(rows) == 1 else 's'} of {recording.instrument} · "
         f"dvrk-cmaes {__version__}",
-        {status: counts[status] for status in _STATUSES if counts[status] or status != "gone"},
+        {status: counts[status] for status in _STATUSES},
         alerts=() if recording.calibration is None else recording.calibration.warnings,
         notes=notes,
         figures=list(_figures(recording, events)),
@@ -176,15 +159,13 @@ def _figures(recording: FollowedRecording, events: Sequence[TrackEvent]) -> Iter
     good = sum(row["status"] == "ok" for row in rows)
     length = f" in {recording.times[-1]:.1f} s" if recording.timed else ""
     yield KeyFigure("Frames ok", f"{100 * good / len(rows):.1f} %", f"{good:,} of {len(rows):,}{length}")
-    gaps = [event for event in events if event.kind not in (SWITCHED, "doubtful")]
+    gaps = [event for event in events if event.status == "lost"]
     note = "followed in every frame"
     if gaps:
         longest = max(gaps, key=lambda event: event.frames)
         many = "" if longest.frames == 1 else "s"
         note = f"longest: {longest.frames} frame{many}, from {rows[longest.first]['frame']}"
     yield KeyFigure("Lost", {0: "never", 1: "once"}.get(len(gaps), f"{len(gaps)} times"), note)
-    switches = sum(event.kind == SWITCHED for event in events)
-    yield KeyFigure("Modes switched", str(switches), "to another pose with nearly the same silhouette")
     overlaps = recording.overlaps
     if overlaps is not None and np.isfinite(overlaps).any():
         worst = int(np.nanargmin(overlaps))
@@ -213,11 +194,6 @@ def track_charts(recording: FollowedRecording) -> list[Chart]:
     """Chart a recording over time, or over its frames: joints, offsets, tips, overlap and errors."""
     rows, times = recording.rows, recording.times
     across = "time, s" if recording.timed else "frame"
-
-    def chart(title: str, up: str, curves: Sequence[tuple[str, Float64]], note: str = "", least: float = 0.0) -> Chart:
-        drawn = [Curve(name, times, values) for name, values in curves]
-        return Chart(title, across, up, drawn, note, least=least, seeks=True)
-
     joints = list(dict.fromkeys(name for row in rows for name in row["joints"]))
     offsets = list(dict.fromkeys(name for row in rows for name in row.get("offsets") or {}))
     found = [Curve(name, times, np.degrees(_column(rows, "joints", name)), colour=k) for k, name in enumerate(joints)]
@@ -229,22 +205,20 @@ def track_charts(recording: FollowedRecording) -> list[Chart]:
     tips = 1e3 * np.array([np.mean(row["tips"], axis=0) if row["tips"] else [np.nan] * 3 for row in rows])
     middle = np.nanmedian(tips, axis=0) if np.isfinite(tips).any() else np.zeros(3)
     overlaps = np.full(len(rows), np.nan) if recording.overlaps is None else recording.overlaps
+    known = {name: np.degrees(_column(rows, "offsets", name)) for name in offsets}
+    off, std = {axis: tips[:, k] - middle[k] for k, axis in enumerate("xyz")}, _column(rows, "std", "tip_mm")
+    charts = [
+        ("Offsets", "deg", known, "True = reading + offset, as it was known at the time.", 0.0),
+        ("Overlap of mask and pose", "IoU", {"": overlaps}, "", 0.02),
+        ("Tips in the camera", "mm from the median", off, "Mean of the tips: x right, y down, z forward.", 0.0),
+        ("Standard deviation of the tips", "mm", {"": std}, "", 0.0),
+    ]
     return [
         Chart("Joints", across, "deg", [*found, *read], "Found, and faintly as the robot read them.", seeks=True),
-        chart(
-            "Offsets",
-            "deg",
-            [(name, np.degrees(_column(rows, "offsets", name))) for name in offsets],
-            "True = reading + offset, as it was known at the time.",
+        *(
+            Chart(title, across, up, [Curve(name, times, y) for name, y in own.items()], note, least=least, seeks=True)
+            for title, up, own, note, least in charts
         ),
-        chart("Overlap of mask and pose", "IoU", [("", overlaps)], least=0.02),
-        chart(
-            "Tips in the camera",
-            "mm from the median",
-            [(axis, tips[:, k] - middle[k]) for k, axis in enumerate("xyz")],
-            "Mean of the tips: x right, y down, z forward.",
-        ),
-        chart("Standard deviation of the tips", "mm", [("", _column(rows, "std", "tip_mm"))]),
     ]
 
 

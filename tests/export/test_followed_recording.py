@@ -13,17 +13,16 @@ from helpers.track_rows import row
 
 from dvrk_cmaes.results.track_files import TRACKS, line_of
 
-ROWS = [row(0), row(1), row(2, "lost", "no mask"), row(3, "gone")]
+ROWS = [row(0), row(1), row(2, "doubtful", "no mask"), row(3, "lost")]
 
 
 @pytest.fixture
 def tracks(tmp_path: Path) -> Path:
-    """A folder of `track` with four frames: ok, ok, lost with a predicted pose, lost without one."""
+    """A folder of `track` with four frames: ok, ok, doubtful, lost."""
     lines = []
     for entry in ROWS:
-        status = "lost" if entry["status"] == "gone" else entry["status"]
         std = entry["std"] and {**entry["std"], "translation_mm": [0.1, 0.2, 0.3], "rotation_deg": [1.0, 2.0, 3.0]}
-        lines.append(line_of({**entry, "status": status, "std": std}))
+        lines.append(line_of({**entry, "std": std}))
     (tmp_path / "tracks").mkdir()
     (tmp_path / "tracks" / TRACKS).write_text("".join(lines))
     return tmp_path / "tracks"

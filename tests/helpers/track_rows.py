@@ -15,12 +15,12 @@ JOINTS = ("wrist_pitch", "wrist_yaw", "jaw")
 def row(
     number: int, status: str = "ok", *reasons: str, name: str | None = None, time: float | None = 0.0
 ) -> dict[str, Any]:
-    """The line of a frame; a moved and turned pose, except for a frame without a pose (status gone)."""
+    """The line of a frame; a moved and turned pose, except for a frame without a pose (status lost)."""
     angle = 0.02 * number
     pose = np.eye(4)
     pose[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
     pose[:3, 3] = [0.001 * number, 0.0, 0.1]
-    there = status != "gone"
+    there = status != "lost"
     return {
         "frame": f"{number:04d}" if name is None else name,
         "time": None if time is None else time + number / 30,

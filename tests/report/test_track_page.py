@@ -11,14 +11,12 @@ from helpers.track_rows import recording, row
 
 from dvrk_cmaes.report.template import rendered
 from dvrk_cmaes.report.track_page import (
-    SWITCHED,
     FollowedRecording,
     track_events,
     track_page,
 )
 
 LOST = "lost: the mask's edges do not support the predicted outline"
-SWITCH = "switched to the mirror twin: it explains the images better"
 EVIL = "</script><script>document.title='taken'</script>\"'&<b>"
 
 
@@ -26,12 +24,13 @@ def page_of(followed: FollowedRecording) -> Page:
     return Page(rendered(track_page(followed)))
 
 
-def test_losses_come_before_doubts_and_switches_the_longest_first() -> None:
-    statuses = ["ok", "lost", "lost", "gone", "doubtful", "ok", "doubtful", "lost"]
+def test_losses_come_before_doubts_the_longest_first() -> None:
+    statuses = ["ok", "lost", "lost", "lost", "doubtful", "ok", "doubtful", "lost"]
     rows = [row(k, status, *([LOST] if status == "lost" else [])) for k, status in enumerate(statuses)]
-    rows[6]["reasons"] = ["uncertain: x", SWITCH]
-    found = [(event.kind, event.first, event.frames, event.reason) for event in track_events(rows)]
-    assert found == [("lost", 1, 3, LOST), ("lost", 7, 1, LOST), ("doubtful", 4, 1, ""), (SWITCHED, 6, 1, SWITCH)]
+    rows[6]["reasons"] = ["uncertain: x"]
+    found = [(event.status, event.first, event.frames, event.reason) for event in track_events(rows)]
+    doubts = [("doubtful", 4, 1, ""), ("doubtful", 6, 1, "uncertain: x")]
+    assert found == [("lost", 1, 3, LOST), ("lost", 7, 1, LOST), *doubts]
     assert page_of(recording(rows)).frames == ["0001", "0007", "0004", "0006"]
     assert track_events([row(0), row(1)]) == []
 
@@ -64,6 +63,6 @@ def test_texts_are_escaped() -> None:
 
 
 def test_recording_without_times_and_poses_has_a_page() -> None:
-    page = page_of(recording([row(k, "gone", "no mask", time=None) for k in range(2)]))
+    page = page_of(recording([row(k, "lost", "no mask", time=None) for k in range(2)]))
     assert page.frames == ["0000"]
     assert "Lost once longest: 2 frames, from 0000" in page.text

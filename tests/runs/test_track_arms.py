@@ -15,7 +15,7 @@ COUNT = 40
 
 def followed(joints: np.ndarray, gone: int, read: np.ndarray) -> Any:
     """Give what is used of an arm that was followed, with joints (N, 3), rad, found in all frames but one."""
-    rows = [row(k, "gone" if k == gone else "ok") for k in range(len(joints))]
+    rows = [row(k, "lost" if k == gone else "ok") for k in range(len(joints))]
     rows[gone]["status"] = "lost"
     for one, found in zip(rows, joints.tolist(), strict=True):
         if one["joints"]:
