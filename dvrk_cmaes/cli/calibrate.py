@@ -199,8 +199,7 @@ def calibrate(
         if len(solved) < len(arms):
             return INTERRUPTED
         _report(solved, target, json=json)
-        left_out = {name: solution.calibration.left_out for name, solution in solved.items()}
-        doubtful = doubt_exchanged({name: solution.results for name, solution in solved.items()}, left_out)
+        doubtful = doubt_exchanged({name: solution.results for name, solution in solved.items()})
         if len(solved) > 1:
             calibrations = {name: solution.calibration for name, solution in solved.items()}
             doubtful = not write_bases(calibrations, setup, target, quiet=json) or doubtful

@@ -141,21 +141,11 @@ def answer_by_arm(documents: Mapping[str, Any], lines: Mapping[str, Iterable[Lin
     answer(documents.get("", documents), (line for own in titled for line in own), json=json)
 
 
-def doubt_exchanged(results: Mapping[str, Mapping[str, Result]], left_out: Mapping[str, Collection[str]] = {}) -> bool:
-    """Warn where arms seem to have each other's masks or readings, given their results by frame; returns whether.
+def doubt_exchanged(results: Mapping[str, Mapping[str, Result]]) -> bool:
+    """Warn where arms seem to have each other's masks or readings, given their results by frame; returns whether."""
+    from dvrk_cmaes.runs.agreement import exchanged_arms
 
-    Frames that are ``left_out`` of an arm's calibration are not ok.
-    """
-    from dvrk_cmaes.runs.agreement import FoundFrame, exchanged_arms
-
-    found = {
-        arm: {
-            frame: FoundFrame(own.joints, own.readings, own.status == "ok" and frame not in left_out.get(arm, ()))
-            for frame, own in of_arm.items()
-        }
-        for arm, of_arm in results.items()
-    }
-    texts = exchanged_arms(found)
+    texts = exchanged_arms(results)
     for text in texts:
         warn(text)
     return bool(texts)

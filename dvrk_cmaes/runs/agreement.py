@@ -43,38 +43,26 @@ class ArmInSession:
     arm: str = ""
 
 
-@dataclass(frozen=True)
-class FoundFrame:
-    """What was found of an arm in a frame: its joints, rad, readings, rad and m, and whether it is ok.
-
-    There are no joints without a pose.
-    """
-
-    joints: Mapping[str, float]
-    readings: Mapping[str, float]
-    ok: bool
-
-
-def exchanged_arms(found: Mapping[str, Mapping[str, FoundFrame]], *, followed: bool = False) -> list[str]:
-    """Say which arms seem to have each other's masks or readings, given what was found of each by frame.
+def exchanged_arms(found: Mapping[str, Mapping[str, Result]], *, followed: bool = False) -> list[str]:
+    """Say which arms seem to have each other's masks or readings, given the results of each by frame.
 
     Arguments as of `exchanged_tools`, which asks for the joints; masks are suspected where both tools are not ok.
     """
     return exchanged_tools(found, followed=followed) or exchanged_masks(found)
 
 
-def exchanged_masks(found: Mapping[str, Mapping[str, FoundFrame]]) -> list[str]:
+def exchanged_masks(found: Mapping[str, Mapping[str, Result]]) -> list[str]:
     """Say in which frames two arms may have each other's masks: both are not ok in nearly the same frames.
 
     Parameters
     ----------
     found
-        What was found by arm and frame.
+        Results by arm and frame.
     """
     texts = []
     for first, second in combinations(found, 2):
         names = [name for name in found[first] if name in found[second] and found[first][name].readings]
-        bad = [{name for name in names if not found[arm][name].ok} for arm in (first, second)]
+        bad = [{name for name in names if found[arm][name].status != "ok"} for arm in (first, second)]
         both = [name for name in names if name in bad[0] & bad[1]]
         if len(both) >= _LEAST_FRAMES and len(both) >= _LEAST_SHARED * len(bad[0] | bad[1]):
             evidence = f"neither is ok in {len(both)} of {len(names)} frames ({listed(both)})"
@@ -82,8 +70,8 @@ def exchanged_masks(found: Mapping[str, Mapping[str, FoundFrame]]) -> list[str]:
     return texts
 
 
-def exchanged_tools(found: Mapping[str, Mapping[str, FoundFrame]], *, followed: bool = False) -> list[str]:
-    """Say which tools seem to be exchanged, given what was found of each arm by frame; empty without any.
+def exchanged_tools(found: Mapping[str, Mapping[str, Result]], *, followed: bool = False) -> list[str]:
+    """Say which tools seem to be exchanged, given the results of each arm by frame; empty without any.
 
     Two tools are compared in the frames in which both were found and read. The readings pull a pose towards them, so
     joints that are clearly nearer to the readings of the other tool are no accident. Tools that are ``followed``, whose
@@ -109,7 +97,7 @@ def exchanged_tools(found: Mapping[str, Mapping[str, FoundFrame]], *, followed: 
     return texts
 
 
-def _distances(first: Mapping[str, FoundFrame], second: Mapping[str, FoundFrame]) -> dict[str, tuple[float, float]]:
+def _distances(first: Mapping[str, Result], second: Mapping[str, Result]) -> dict[str, tuple[float, float]]:
     """Return the squared distances of two tools' joints from the own and the other's readings, rad^2, by frame.
 
     Of frames in which both were found and read.

@@ -49,28 +49,18 @@ def frame_stamps(files: FrameFiles) -> dict[str, str]:
     Of a file that cannot be read it is `UNREADABLE`.
     """
     stamps = {name: _stamp(path) for name in _FILES if (path := getattr(files, name)) is not None}
-    others_there = {
-        f"other tool {k}": f"{_stamp(tool.mask)} {tool.label or ''}" for k, tool in enumerate(files.other_tools)
+    for view, other in files.others.items():
+        stamps |= {f"{view} {name}": _stamp(path) for name in _FILES if (path := getattr(other, name)) is not None}
+    for number, tool in enumerate(files.other_tools):
+        stamps[f"other tool {number}"] = f"{_stamp(tool.mask)} {tool.label or ''}"
+    if (film := files.video) is not None:
+        stamps["video"] = f"{_stamp(film.video.path)} {film.number} {film.window}"
+    prompts = files.prompts if files.mask is None else None
+    return {
+        **stamps,
+        "readings": digest_of((dict(sorted(files.readings.items())), files.notes, files.problem, files.time)),
+        "points and labels": digest_of((files.keypoints, files.label, files.pick, prompts)),
     }
-    rest: dict[str, Any] = {
-        "readings": (dict(sorted(files.readings.items())), files.notes, files.problem),
-        "keypoints": files.keypoints,
-        "part of the mask": (files.label, files.pick),
-    }
-    if files.time is not None:
-        rest["time"] = files.time
-    if files.video is not None:
-        film = files.video
-        rest["video"] = (_stamp(film.video.path), film.number, film.window)
-    if files.prompts is not None and files.mask is None:
-        rest["prompts"] = files.prompts
-    others = {
-        f"{view} {part}": stamp
-        for view, other in files.others.items()
-        for part, stamp in frame_stamps(other).items()
-        if part in _FILES
-    }
-    return stamps | {name: digest_of(value) for name, value in rest.items()} | others | others_there
 
 
 def _stamp(path: Path) -> str:

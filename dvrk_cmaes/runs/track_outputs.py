@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,9 +15,11 @@ from dvrk_cmaes.draw.track_overlay import draw_track, draw_track_of_arms
 from dvrk_cmaes.export.rerun_file import rerun_file
 from dvrk_cmaes.io.video_writer import whole_video
 from dvrk_cmaes.report.track_page import FollowedRecording, TrackPictures, write_track_page
+from dvrk_cmaes.results.followed import result_of_row
+from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.track_files import VIDEO
 from dvrk_cmaes.results.tracked import TrackView
-from dvrk_cmaes.runs.agreement import FoundFrame, exchanged_arms
+from dvrk_cmaes.runs.agreement import exchanged_arms
 from dvrk_cmaes.runs.track_inputs import files_of_views, read_arrays
 from dvrk_cmaes.silhouette import Renderer
 
@@ -103,12 +106,11 @@ def write_track_arms(out: Path, arms: Mapping[str, TrackedArm]) -> None:
 
 def exchanged_while_followed(arms: Mapping[str, TrackedArm]) -> list[str]:
     """Say which arms that were followed seem to be exchanged: from which frame on, or in all."""
-    found: dict[str, dict[str, FoundFrame]] = {name: {} for name in arms}
+    found: dict[str, dict[str, Result]] = {name: {} for name in arms}
     for name, arm in arms.items():
         for number, row in enumerate(arm.rows):
             read = {joint: float(v[number]) for joint, v in arm.readings.items() if np.isfinite(v[number])}
-            joints = {} if row["camera_from_root"] is None else row["joints"]
-            found[name][row["frame"]] = FoundFrame(joints, read, row["status"] == "ok")
+            found[name][row["frame"]] = replace(result_of_row(name, row), readings=read)
     return exchanged_arms(found, followed=True)
 
 

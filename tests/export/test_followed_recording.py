@@ -19,12 +19,8 @@ ROWS = [row(0), row(1), row(2, "doubtful", "no mask"), row(3, "lost")]
 @pytest.fixture
 def tracks(tmp_path: Path) -> Path:
     """A folder of `track` with four frames: ok, ok, doubtful, lost."""
-    lines = []
-    for entry in ROWS:
-        std = entry["std"] and {**entry["std"], "translation_mm": [0.1, 0.2, 0.3], "rotation_deg": [1.0, 2.0, 3.0]}
-        lines.append(line_of({**entry, "std": std}))
     (tmp_path / "tracks").mkdir()
-    (tmp_path / "tracks" / TRACKS).write_text("".join(lines))
+    (tmp_path / "tracks" / TRACKS).write_text("".join(map(line_of, ROWS)))
     return tmp_path / "tracks"
 
 

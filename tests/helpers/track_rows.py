@@ -10,6 +10,12 @@ from dvrk_cmaes.report.template import webp
 from dvrk_cmaes.report.track_page import FollowedRecording
 
 JOINTS = ("wrist_pitch", "wrist_yaw", "jaw")
+STD = {
+    "translation_mm": [0.1, 0.2, 0.3],
+    "rotation_deg": [1.0, 2.0, 3.0],
+    "tip_mm": 0.5,
+    "joints_deg": dict.fromkeys(JOINTS, 1.0),
+}
 
 
 def row(
@@ -28,7 +34,7 @@ def row(
         "reasons": list(reasons),
         "camera_from_root": pose.tolist() if there else None,
         "joints": {joint: 0.1 * k + 0.01 * number for k, joint in enumerate(JOINTS)} if there else {},
-        "std": {"tip_mm": 0.5, "joints_deg": dict.fromkeys(JOINTS, 1.0)} if there else None,
+        "std": STD if there else None,
         "offsets": {"roll": 0.05, **dict.fromkeys(JOINTS, -0.1)} if there else {},
         "tips": [[0.001 * number, 0.002, 0.11], [0.001 * number, 0.004, 0.11]] if there else None,
         "seconds": 0.02,

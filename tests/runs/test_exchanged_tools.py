@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers.page_results import result
 
-from dvrk_cmaes.runs.agreement import FoundFrame, exchanged_arms, exchanged_masks, exchanged_tools
+from dvrk_cmaes import Result
+from dvrk_cmaes.runs.agreement import exchanged_arms, exchanged_masks, exchanged_tools
 
 NAMES = ("wrist_pitch", "wrist_yaw", "jaw")
 
 
-def results(joints: np.ndarray, readings: np.ndarray, *, bad: range = range(0)) -> dict[str, FoundFrame]:
-    """Give what was found in frames with given joints and readings (N, 3), rad, some of which are not ok."""
+def results(joints: np.ndarray, readings: np.ndarray, *, bad: range = range(0)) -> dict[str, Result]:
+    """Give the results of frames with given joints and readings (N, 3), rad, some of which are not ok."""
     return {
-        f"{k:04d}": FoundFrame(
-            dict(zip(NAMES, found.tolist(), strict=True)), dict(zip(NAMES, read.tolist(), strict=True)), k not in bad
+        f"{k:04d}": result(
+            f"{k:04d}",
+            joints=dict(zip(NAMES, found.tolist(), strict=True)),
+            readings=dict(zip(NAMES, read.tolist(), strict=True)),
+            status="doubtful" if k in bad else "ok",
         )
         for k, (found, read) in enumerate(zip(joints, readings, strict=True))
     }
