@@ -22,7 +22,7 @@ from dvrk_cmaes.cli.options import (
 )
 from dvrk_cmaes.cli.session_tools import read_arms
 from dvrk_cmaes.cli.terminal import DOUBTFUL, FAILED, STATUS_STYLES, Line, answer, table_lines, tracked, warn
-from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
     from dvrk_cmaes.config import EstimateConfig
@@ -228,17 +228,11 @@ def _check_names(path: Path, golden: Iterable[str], session: Session) -> None:
 
 def _estimated(frames: Iterable[FrameFiles], arm: ArmInSession, config: EstimateConfig) -> Iterator[Result]:
     """Estimate frames of a session one after the other; a frame with an error gives a failed result with the reason."""
-    from dvrk_cmaes.estimation.one_tool import FrameMethod
-    from dvrk_cmaes.frames.frame import read_frame
-    from dvrk_cmaes.results.result import Result
-    from dvrk_cmaes.runs.frame import estimate_frame
+    from dvrk_cmaes.runs.worker import BatchSetup, estimated
 
-    for files in frames:
-        try:
-            data = read_frame(files, arm.session.camera)
-            yield estimate_frame(files, data, arm.body, FrameMethod(arm.kinematics, config))
-        except DvrkCmaesError as error:
-            yield Result.failed(files.name, str(error), files.readings, **arm.body.instrument.stated, time=files.time)
+    session = arm.session
+    setup = BatchSetup(arm.body.instrument, session.rig, config, arm.kinematics, session.folder)
+    return (estimated(setup, arm.body, files).result for files in frames)
 
 
 @dataclass(frozen=True, eq=False)

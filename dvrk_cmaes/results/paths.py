@@ -7,17 +7,10 @@ of a calibrated session predict, to ``OUT/overlays_left_out/<frame>.jpg``.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import Bool
-from dvrk_cmaes.io.atomic import write_image, write_json
 from dvrk_cmaes.io.short_text import shown
-from dvrk_cmaes.results.result import Result
 
 
 def result_path(out: Path, frame: str) -> Path:
@@ -74,33 +67,3 @@ def check_writable(folder: Path, *, named: Path | None = None) -> None:
         raise InputError(f"{name}: expected a folder to write to, but {there} is a file")
     if not os.access(there, os.W_OK | os.X_OK):
         raise InputError(f"{name}: expected a folder to write to, but {there} may not be written to")
-
-
-def write_frame(
-    out: Path, result: Result, overlay: NDArray[np.uint8], found_masks: Mapping[str, Bool] | None = None
-) -> tuple[Path, ...]:
-    """Write the files of a frame, each atomically; the result is written last, when the others are complete.
-
-    Parameters
-    ----------
-    out
-        The output folder.
-    result
-        The frame's result.
-    overlay
-        (H, W, 3) BGR.
-    found_masks
-        (H, W), found in the images of a frame without masks, by name of the view, "" for the only one.
-
-    Returns
-    -------
-    paths
-        Of the result, the overlay and the masks, if there are any. Errors as in ``dvrk_cmaes.io.output.write_bytes``.
-    """
-    paths = [result_path(out, result.frame), overlay_path(out, result.frame)]
-    for view, mask in (found_masks or {}).items():
-        paths.append(mask_path(out, result.frame, view))
-        write_image(paths[-1], mask)
-    write_image(paths[1], overlay)
-    write_json(paths[0], result.to_dict())
-    return tuple(paths)

@@ -31,6 +31,7 @@ from dvrk_cmaes.results.pose_rows import pose_rows
 from dvrk_cmaes.results.result import Result, Status
 from dvrk_cmaes.runs.agreement import compare_bases
 from dvrk_cmaes.runs.backgrounds import with_backgrounds
+from dvrk_cmaes.runs.frame import FrameOutcome, write_outcome
 from dvrk_cmaes.runs.manifest import (
     check_same_frames,
     check_same_settings,
@@ -48,7 +49,6 @@ from dvrk_cmaes.runs.output import (
     complete_results,
     refuse_strange_results,
     results_of,
-    write_outcome,
 )
 from dvrk_cmaes.runs.pool import Pool, WorkerDied, usable_cores
 from dvrk_cmaes.runs.pool import Workers as Executors
@@ -56,7 +56,6 @@ from dvrk_cmaes.runs.pool import run as run_tasks
 from dvrk_cmaes.runs.summary import summarize, timing_of
 from dvrk_cmaes.runs.worker import (
     BatchSetup,
-    FrameOutcome,
     PackedSetup,
     failed_outcome,
     prepare_process,

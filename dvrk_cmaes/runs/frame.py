@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,26 +17,24 @@ from dvrk_cmaes.estimation import estimate_views
 from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame, read_frame_image, readable
 from dvrk_cmaes.frames.images import read_image
-from dvrk_cmaes.geometry import Bool
-from dvrk_cmaes.io.output import LONG, output
-from dvrk_cmaes.results.paths import check_output, write_frame
+from dvrk_cmaes.io.atomic import encoded_image, json_text
+from dvrk_cmaes.io.output import LONG, output, remove, write_bytes
+from dvrk_cmaes.results.paths import check_output, mask_path, overlay_path, result_path
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 
-if TYPE_CHECKING:
-    from dvrk_cmaes.calibration.document import SessionCalibration
-
 
 @dataclass(frozen=True, eq=False)
-class SolvedFrame:
-    """A frame in memory and its result; ``found_masks`` are those found in images, by view, "" for the only one.
+class FrameOutcome:
+    """A frame's result, and the contents of its other files.
 
-    The camera of ``data`` is that of the result: a session's calibration may have changed it.
+    ``overlay`` is JPEG, None if the frame failed and neither its image nor its mask can be read. ``masks`` are PNGs of
+    the masks found in images, by view, "" for the only one.
     """
 
-    data: FrameData
     result: Result
-    found_masks: Mapping[str, Bool] = field(default_factory=dict)
+    overlay: bytes | None
+    masks: Mapping[str, bytes] = field(default_factory=dict)
 
 
 def read_any_frame(files: FrameFiles, camera: Camera | Rig) -> FrameData:
@@ -60,34 +57,48 @@ def run_frame(
     InputError
         As `solve_frame`; a name or folder that cannot be written to, in which case nothing is written.
     """
-    if out is not None:
-        check_output(out, files.name)
-    solved = solve_frame(files, frame, body, method)
     if out is None:
-        return solved.result, ()
-    overlay = draw_views(solved.result, solved.data.views, body)
+        return solve_frame(files, frame, body, method)[1], ()
+    check_output(out, files.name)
+    outcome = outcome_of(files, frame, body, method)
     with output(out, command, wait=LONG):
-        return solved.result, write_frame(out, solved.result, overlay, solved.found_masks)
+        return outcome.result, write_outcome(out, outcome)
 
 
-def solve_frame(files: FrameFiles, frame: FrameData, body: Body, method: FrameMethod) -> SolvedFrame:
-    """Estimate the pose in a frame that was read; in a frame without a mask, find the mask first.
+def outcome_of(files: FrameFiles, frame: FrameData, body: Body, method: FrameMethod) -> FrameOutcome:
+    """Estimate and draw a frame that was read; arguments and errors as of `solve_frame`."""
+    solved, result = solve_frame(files, frame, body, method)
+    views = solved.views if method.session is None else method.session.corrected_views(solved.views)
+    found = () if solved is frame else [view for view in solved.views if view.given]
+    masks = {view.name if len(views) > 1 else "": encoded_image("mask.png", view.mask) for view in found}
+    return FrameOutcome(result, encoded_image("overlay.jpg", draw_views(result, views, body)), masks)
+
+
+def write_outcome(out: Path, outcome: FrameOutcome) -> tuple[Path, ...]:
+    """Write a frame's files, the result last, so that a frame with a result has all its files; returns their paths."""
+    frame = outcome.result.frame
+    masks = {mask_path(out, frame, view): mask for view, mask in outcome.masks.items()}
+    for path, mask in masks.items():
+        write_bytes(path, mask)
+    if outcome.overlay is not None:
+        write_bytes(overlay_path(out, frame), outcome.overlay)
+    else:
+        remove(overlay_path(out, frame))
+    write_bytes(result_path(out, frame), json_text(outcome.result.to_dict()).encode())
+    return result_path(out, frame), overlay_path(out, frame), *masks
+
+
+def solve_frame(files: FrameFiles, frame: FrameData, body: Body, method: FrameMethod) -> tuple[FrameData, Result]:
+    """Estimate the pose in a frame that was read; in one without a mask, find that first, which is then in the frame.
 
     Errors as `estimate` and `segment_and_estimate`.
     """
     if any(view.given for view in frame.views):
-        return SolvedFrame(as_calibrated(frame, method.session), estimate_frame(files, frame, body, method))
+        return frame, estimate_frame(files, frame, body, method)
     from dvrk_cmaes.estimation.image_frame import segment_and_estimate
 
     segmented = segment_and_estimate(frame, files, body, method)
-    alone = len(frame.views) == 1
-    masks = {"" if alone else view.name: view.mask for view in segmented.data.views if view.given}
-    return SolvedFrame(as_calibrated(segmented.data, method.session), segmented.result, masks)
-
-
-def as_calibrated(data: FrameData, session: SessionCalibration | None) -> FrameData:
-    """Return a frame's data with the camera or rig with which a session was solved."""
-    return data if session is None else replace(data, views=session.corrected_views(data.views))
+    return segmented.data, segmented.result
 
 
 def estimate_frame(files: FrameFiles, data: FrameData, body: Body, method: FrameMethod) -> Result:

@@ -12,15 +12,13 @@ from typing import Any, Final
 from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.frames.frame import FrameFiles, readable
-from dvrk_cmaes.io.atomic import json_text, write_json
+from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
-from dvrk_cmaes.io.output import remove, write_bytes
 from dvrk_cmaes.io.short_text import listed, natural, shown
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.folder import SESSION, SUMMARY
 from dvrk_cmaes.results.paths import check_output, mask_path, overlay_path, result_path
 from dvrk_cmaes.results.result import Status
-from dvrk_cmaes.runs.worker import FrameOutcome
 
 _LONGEST_NAME = 255  # bytes, the limit of nearly all file systems
 
@@ -110,18 +108,6 @@ def complete_results(out: Path) -> dict[str, Status]:
         if result.status == "failed" or overlay_path(out, result.frame).is_file():
             found[result.frame] = result.status
     return found
-
-
-def write_outcome(out: Path, outcome: FrameOutcome) -> None:
-    """Write a frame's files, the result last, so that a frame with a result has all its files."""
-    frame = outcome.result.frame
-    for view, mask in outcome.masks.items():
-        write_bytes(mask_path(out, frame, view), mask)
-    if outcome.overlay is not None:
-        write_bytes(overlay_path(out, frame), outcome.overlay)
-    else:
-        remove(overlay_path(out, frame))
-    write_bytes(result_path(out, frame), json_text(outcome.result.to_dict()).encode())
 
 
 def update_result(out: Path, name: str, **fields: Any) -> None:

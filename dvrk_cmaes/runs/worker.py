@@ -14,23 +14,20 @@ import pickle
 import socket
 import threading
 import traceback
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.draw.view_overlays import draw_views
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import encoded_image
-from dvrk_cmaes.results.paths import mask_path, overlay_path
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.frame import draw_failed_frame, read_any_frame, solve_frame
+from dvrk_cmaes.runs.frame import FrameOutcome, draw_failed_frame, outcome_of, read_any_frame
 from dvrk_cmaes.runs.manifest import instrument_digest
 from dvrk_cmaes.runs.pool import limit_library_threads
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings, hints_within
@@ -73,19 +70,6 @@ class PackedSetup:
         return PackedSetup(hashlib.sha256(data).hexdigest(), data, _here())
 
 
-@dataclass(frozen=True, eq=False)
-class FrameOutcome:
-    """A frame's result, and the contents of its other files.
-
-    ``overlay`` is JPEG, None if the frame failed and neither its image nor its mask can be read. ``masks`` are PNGs of
-    the masks found in images, by view.
-    """
-
-    result: Result
-    overlay: bytes | None
-    masks: Mapping[str, bytes] = field(default_factory=dict)
-
-
 def prepare_instrument(instrument: Instrument) -> Body:
     """Build an instrument's scenes, once in each process for all instruments of the same content."""
     key = instrument_digest(instrument)
@@ -107,9 +91,16 @@ def prepare_process(packed: PackedSetup) -> None:
 
 def run_task(packed: PackedSetup, files: FrameFiles) -> FrameOutcome:
     """Estimate one frame; never raises."""
-    setup, body = _unpacked(packed)
+    return estimated(*_unpacked(packed), files)
+
+
+def estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> FrameOutcome:
+    """Read and estimate one frame, whose result has failed where that is not possible; never raises."""
     try:
-        return _estimated(setup, body, files)
+        frame = read_any_frame(files, setup.rig)
+        frame = replace(frame, notes=tuple(relative_text(setup.folder, note) for note in frame.notes))
+        method = FrameMethod(setup.arm, setup.config, setup.calibration, setup.segment, hints_of(files))
+        return outcome_of(files, frame, body, method)
     except DvrkCmaesError as error:
         reason = str(error)
     except MemoryError:
@@ -134,19 +125,7 @@ def failed_outcome(setup: BatchSetup, files: FrameFiles, reason: str) -> FrameOu
         config={**setup.config.as_dict(), "instrument": setup.instrument.describe_limits(setup.arm)},
     )
     drawing = draw_failed_frame(result, files)
-    return FrameOutcome(result, None if drawing is None else encoded_image(overlay_path(Path(), files.name), drawing))
-
-
-def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> FrameOutcome:
-    frame = read_any_frame(files, setup.rig)
-    frame = replace(frame, notes=tuple(relative_text(setup.folder, note) for note in frame.notes))
-    method = FrameMethod(setup.arm, setup.config, setup.calibration, setup.segment, hints_of(files))
-    solved = solve_frame(files, frame, body, method)
-    drawing = draw_views(solved.result, solved.data.views, body)
-    masks = {
-        view: encoded_image(mask_path(Path(), files.name, view), mask) for view, mask in solved.found_masks.items()
-    }
-    return FrameOutcome(solved.result, encoded_image(overlay_path(Path(), files.name), drawing), masks)
+    return FrameOutcome(result, None if drawing is None else encoded_image("overlay.jpg", drawing))
 
 
 def hints_of(files: FrameFiles) -> Hints | None:

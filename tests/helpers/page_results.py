@@ -15,9 +15,10 @@ import numpy as np
 
 from dvrk_cmaes import Result
 from dvrk_cmaes.draw.panels import footer, header
+from dvrk_cmaes.io.atomic import encoded_image
 from dvrk_cmaes.report.page import write_page
-from dvrk_cmaes.results.paths import write_frame
 from dvrk_cmaes.results.result import Alternative, Quality
+from dvrk_cmaes.runs.frame import FrameOutcome, write_outcome
 from helpers.transforms import exp_rotation, transform
 
 JOINTS = {"wrist_pitch": 0.5, "wrist_yaw": -0.25, "jaw": 0.75}
@@ -80,7 +81,7 @@ def overlay(one: Result, width: int = 640) -> np.ndarray:
 def write_results(out: Path, results: Iterable[Result]) -> Path:
     """Write results as the commands do; returns the folder."""
     for one in results:
-        write_frame(out, one, overlay(one))
+        write_outcome(out, FrameOutcome(one, encoded_image("overlay.jpg", overlay(one))))
     return out
 
 
