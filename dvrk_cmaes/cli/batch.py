@@ -11,12 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import (
-    DEFAULT_CALIBRATION,
-    DEFAULT_CAMERA,
-    DEFAULT_INSTRUMENT,
-    DEFAULT_PROMPTS,
-    DEFAULT_READING,
-    DEFAULT_SEGMENT,
     FOLDER,
     MOST_WORKERS,
     OUTPUT,
@@ -122,7 +116,7 @@ class BatchOptions:
         if self.pick is not None:
             pick = parse_pixel("pick", self.pick)
             session = replace(session, frames=tuple(replace(files, pick=pick) for files in session.frames))
-        if prompts != DEFAULT_PROMPTS:
+        if prompts != PromptOptions():
             hints = prompts.resolve()
             session = session.with_prompts(FramePrompts(hints.box, tuple(hints.points), tuple(hints.not_points)))
         return replace(arm, session=session)
@@ -160,21 +154,18 @@ def estimated(
         )
 
 
-DEFAULT_BATCH = BatchOptions()
-
-
 def batch(
     session: Annotated[Path, Parameter(group=FOLDER)],
     /,
     *,
-    wanted: BatchOptions = DEFAULT_BATCH,
-    calibrated: CalibrationOptions = DEFAULT_CALIBRATION,
-    reading: ReadingOptions = DEFAULT_READING,
-    camera: CameraOptions = DEFAULT_CAMERA,
-    instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
+    wanted: BatchOptions = BatchOptions(),
+    calibrated: CalibrationOptions = CalibrationOptions(),
+    reading: ReadingOptions = ReadingOptions(),
+    camera: CameraOptions = CameraOptions(),
+    instrument: InstrumentOptions = InstrumentOptions(),
     config: ConfigOption = None,
-    segment: SegmentOptions = DEFAULT_SEGMENT,
-    prompts: PromptOptions = DEFAULT_PROMPTS,
+    segment: SegmentOptions = SegmentOptions(),
+    prompts: PromptOptions = PromptOptions(),
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
     """Estimate all frames of a session folder, and write a result and an overlay of each, tables and an HTML report.

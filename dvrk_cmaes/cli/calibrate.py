@@ -14,9 +14,6 @@ from cyclopts import Parameter
 from dvrk_cmaes.cli.batch import estimated
 from dvrk_cmaes.cli.options import (
     AUTO,
-    DEFAULT_GUESSED_CAMERA,
-    DEFAULT_INSTRUMENT,
-    DEFAULT_READING,
     FOLDER,
     MOST_SKIPPED,
     MOST_WORKERS,
@@ -118,17 +115,14 @@ class CalibrateOptions:
         return "auto" if self.lag == AUTO else None if self.lag is None else Lag.parse("--lag", self.lag)
 
 
-DEFAULT_CALIBRATE = CalibrateOptions()
-
-
 def calibrate(
     session: Annotated[Path, Parameter(group=FOLDER)],
     /,
     *,
-    wanted: CalibrateOptions = DEFAULT_CALIBRATE,
-    reading: ReadingOptions = DEFAULT_READING,
-    camera: GuessedCameraOptions = DEFAULT_GUESSED_CAMERA,
-    instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
+    wanted: CalibrateOptions = CalibrateOptions(),
+    reading: ReadingOptions = ReadingOptions(),
+    camera: GuessedCameraOptions = GuessedCameraOptions(),
+    instrument: InstrumentOptions = InstrumentOptions(),
     config: ConfigOption = None,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from dvrk_cmaes.cli.label_table import label_table
-from dvrk_cmaes.cli.options import DEFAULT_URDF, OUTPUT, Flag, UrdfOptions
+from dvrk_cmaes.cli.options import OUTPUT, Flag, UrdfOptions
 from dvrk_cmaes.cli.terminal import Line, answer, table_lines
 from dvrk_cmaes.errors import InputError
 
@@ -26,7 +26,7 @@ def compare(
     frames: int = 20,
     labels: Path | None = None,
     points: Path | None = None,
-    instrument: UrdfOptions = DEFAULT_URDF,
+    instrument: UrdfOptions = UrdfOptions(),
     out: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:

@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from dvrk_cmaes.cli.golden import Compared
-from dvrk_cmaes.cli.options import DEFAULT_METHOD, OUTPUT, Flag, MethodOptions
+from dvrk_cmaes.cli.options import OUTPUT, Flag, MethodOptions
 from dvrk_cmaes.cli.terminal import FAILED, Line, show, tracked
 
 
@@ -16,7 +16,7 @@ def demo(
     *,
     out: Annotated[Path, Parameter(group=OUTPUT)] = Path("dvrk-cmaes-demo"),
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
-    method: MethodOptions = DEFAULT_METHOD,
+    method: MethodOptions = MethodOptions(),
 ) -> int:
     """Estimate the bundled session, print the errors against the true poses, and write results and overlays.
 

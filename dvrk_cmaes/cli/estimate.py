@@ -9,13 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import (
-    DEFAULT_CALIBRATION,
-    DEFAULT_FRAME_CAMERA,
-    DEFAULT_METHOD,
-    DEFAULT_PROMPTS,
-    DEFAULT_READING,
-    DEFAULT_SEGMENT,
-    DEFAULT_URDF,
     FRAME,
     NO_READINGS,
     OUTPUT,
@@ -161,19 +154,16 @@ class FrameOptions:
         )
 
 
-DEFAULT_FRAME = FrameOptions()
-
-
 def estimate(
     *,
-    given: FrameOptions = DEFAULT_FRAME,
-    model: SegmentOptions = DEFAULT_SEGMENT,
-    prompts: PromptOptions = DEFAULT_PROMPTS,
-    calibrated: CalibrationOptions = DEFAULT_CALIBRATION,
-    reading: ReadingOptions = DEFAULT_READING,
-    camera: FrameCameraOptions = DEFAULT_FRAME_CAMERA,
-    instrument: UrdfOptions = DEFAULT_URDF,
-    method: MethodOptions = DEFAULT_METHOD,
+    given: FrameOptions = FrameOptions(),
+    model: SegmentOptions = SegmentOptions(),
+    prompts: PromptOptions = PromptOptions(),
+    calibrated: CalibrationOptions = CalibrationOptions(),
+    reading: ReadingOptions = ReadingOptions(),
+    camera: FrameCameraOptions = FrameCameraOptions(),
+    instrument: UrdfOptions = UrdfOptions(),
+    method: MethodOptions = MethodOptions(),
     out: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
@@ -222,7 +212,7 @@ def estimate(
     json
         Print only the result, as JSON, on stdout.
     """
-    given.check(segmented=(prompts, model) == (DEFAULT_PROMPTS, DEFAULT_SEGMENT))
+    given.check(segmented=(prompts, model) == (PromptOptions(), SegmentOptions()))
     from dvrk_cmaes.estimation.one_tool import FrameMethod
     from dvrk_cmaes.results.paths import mask_path, overlay_path, result_path
     from dvrk_cmaes.runs.frame import read_any_frame, run_frame

@@ -74,9 +74,6 @@ class BagOptions:
         return ToolTip(tool.wrist_length, tool.tooltip_offset)
 
 
-_DEFAULT_BAG = BagOptions()
-
-
 @Parameter(name="*", group=OUTPUT)
 @dataclass(frozen=True, kw_only=True)
 class FormatGiven:
@@ -120,7 +117,7 @@ def export(
     *,
     chosen: FormatGiven,
     frame: str | None = None,
-    bag: BagOptions = _DEFAULT_BAG,
+    bag: BagOptions = BagOptions(),
     out: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
@@ -162,7 +159,7 @@ def export(
         )
     if chosen.ecm_pose is not None and chosen.to != "dvrk":
         raise InputError(f"--ecm-pose: expected the format dvrk, got --to {chosen.to}")
-    if bag != _DEFAULT_BAG and chosen.to not in ("ros1-bag", "ros2-bag") and (chosen.to, bag.tool) != ("tum", None):
+    if bag != BagOptions() and chosen.to not in ("ros1-bag", "ros2-bag") and (chosen.to, bag.tool) != ("tum", None):
         raise InputError(f"--times, --tool: expected the format ros1-bag or ros2-bag, got --to {chosen.to}")
     from dvrk_cmaes.cli.session_tools import output_folder
     from dvrk_cmaes.export.cartesian_pose import read_cartesian_pose

@@ -11,9 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import App, Group, Parameter
 
 from dvrk_cmaes.cli.options import (
-    DEFAULT_CAMERA,
-    DEFAULT_INSTRUMENT,
-    DEFAULT_METHOD,
     OUTPUT,
     CameraOptions,
     Flag,
@@ -82,9 +79,6 @@ class ToleranceOptions:
         return Tolerance(**values)
 
 
-DEFAULT_TOLERANCE = ToleranceOptions()
-
-
 @golden.command
 def record(
     session: Path,
@@ -93,9 +87,9 @@ def record(
     golden: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
     allow_doubtful: Annotated[Flag, Parameter(group=OUTPUT)] = False,
-    camera: CameraOptions = DEFAULT_CAMERA,
-    instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
-    method: MethodOptions = DEFAULT_METHOD,
+    camera: CameraOptions = CameraOptions(),
+    instrument: InstrumentOptions = InstrumentOptions(),
+    method: MethodOptions = MethodOptions(),
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
     """Estimate all frames of a session and record their poses in its golden.json.
@@ -165,10 +159,10 @@ def check(
     /,
     *,
     golden: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
-    tolerance: ToleranceOptions = DEFAULT_TOLERANCE,
-    camera: CameraOptions = DEFAULT_CAMERA,
-    instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
-    method: MethodOptions = DEFAULT_METHOD,
+    tolerance: ToleranceOptions = ToleranceOptions(),
+    camera: CameraOptions = CameraOptions(),
+    instrument: InstrumentOptions = InstrumentOptions(),
+    method: MethodOptions = MethodOptions(),
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
     """Estimate a session's frames again and compare them with its golden poses.

@@ -73,9 +73,6 @@ class TopicOptions:
     rectified: Flag = False
 
 
-_DEFAULT_TOPICS = TopicOptions()
-
-
 @Parameter(name="*", group=POSES)
 @dataclass(frozen=True, kw_only=True)
 class PoseOptions:
@@ -99,9 +96,6 @@ class PoseOptions:
     pose_base: str | None = None
     kinematics: Literal["classic", "si"] = "classic"
     tool: Path | None = None
-
-
-_DEFAULT_POSES = PoseOptions()
 
 
 @Parameter(name="*", group=VIDEO)
@@ -145,9 +139,6 @@ class VideoFiles:
         check_range("--video-start", self.video_start, -LATEST, LATEST, "seconds")
 
 
-DEFAULT_VIDEO = VideoFiles()
-
-
 @Parameter(name="*", group=SELECTION)
 @dataclass(frozen=True, kw_only=True)
 class SelectedImages:
@@ -189,9 +180,6 @@ class SelectedImages:
             raise InputError(f"--start, --end: expected 0 <= start < end in seconds, got {got}")
 
 
-DEFAULT_SELECTED = SelectedImages()
-
-
 @Parameter(name="*", group=FOLDER)
 @dataclass(frozen=True, kw_only=True)
 class RecordingParts:
@@ -214,19 +202,16 @@ class RecordingParts:
     episode: int = 0
 
 
-DEFAULT_PART = RecordingParts()
-
-
 def import_recording(
     recording: Path,
     /,
     *,
-    part: RecordingParts = DEFAULT_PART,
-    selected: SelectedImages = DEFAULT_SELECTED,
-    video: VideoFiles = DEFAULT_VIDEO,
+    part: RecordingParts = RecordingParts(),
+    selected: SelectedImages = SelectedImages(),
+    video: VideoFiles = VideoFiles(),
     out: Annotated[Path, Parameter(group=OUTPUT)],
-    topics: TopicOptions = _DEFAULT_TOPICS,
-    poses: PoseOptions = _DEFAULT_POSES,
+    topics: TopicOptions = TopicOptions(),
+    poses: PoseOptions = PoseOptions(),
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
@@ -322,7 +307,7 @@ def import_recording(
 def _table(joints: Path | None, poses: PoseOptions, arm: str | None) -> Path | PoseTable | JointFile | None:
     """Return the file of readings, or the table of poses with its meaning if --pose-of is given."""
     if poses.pose_of is None:
-        if poses != _DEFAULT_POSES:
+        if poses != PoseOptions():
             raise InputError("--pose-of: expected tip or wrist-yaw with --pose-base, --kinematics and --tool, got none")
         return None if joints is None else (joint_files([joints], arm) or (None,))[0]
     if joints is None:

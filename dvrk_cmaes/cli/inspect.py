@@ -8,8 +8,6 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import (
-    DEFAULT_CAMERA,
-    DEFAULT_READING,
     INSTRUMENT,
     OUTPUT,
     CameraOptions,
@@ -25,8 +23,8 @@ def inspect(
     files: Annotated[tuple[Path, ...], Parameter(negative=())],
     /,
     *,
-    camera: CameraOptions = DEFAULT_CAMERA,
-    reading: ReadingOptions = DEFAULT_READING,
+    camera: CameraOptions = CameraOptions(),
+    reading: ReadingOptions = ReadingOptions(),
     package_path: Annotated[tuple[str, ...], Parameter(group=INSTRUMENT, negative=(), show_default=False)] = (),
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:

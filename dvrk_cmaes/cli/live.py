@@ -17,8 +17,6 @@ from cyclopts import Group, Parameter
 
 from dvrk_cmaes.cli.options import (
     CAMERA,
-    DEFAULT_CALIBRATION,
-    DEFAULT_URDF,
     METHOD,
     OUTPUT,
     CalibrationOptions,
@@ -208,20 +206,16 @@ class LiveOutput:
     seconds: float = math.inf
 
 
-DEFAULT_TOPICS, DEFAULT_SERVER = LiveTopics(), ServerOptions()
-DEFAULT_LIVE_CAMERA, DEFAULT_OUTPUT = LiveCameraOptions(), LiveOutput()
-
-
 def live(
     *,
-    topics: LiveTopics = DEFAULT_TOPICS,
-    server: ServerOptions = DEFAULT_SERVER,
-    camera: LiveCameraOptions = DEFAULT_LIVE_CAMERA,
-    instrument: UrdfOptions = DEFAULT_URDF,
-    calibrated: CalibrationOptions = DEFAULT_CALIBRATION,
+    topics: LiveTopics = LiveTopics(),
+    server: ServerOptions = ServerOptions(),
+    camera: LiveCameraOptions = LiveCameraOptions(),
+    instrument: UrdfOptions = UrdfOptions(),
+    calibrated: CalibrationOptions = CalibrationOptions(),
     lag: Annotated[float | None, Parameter(group=METHOD)] = None,
     config: ConfigOption = None,
-    output: LiveOutput = DEFAULT_OUTPUT,
+    output: LiveOutput = LiveOutput(),
 ) -> int:
     """Follow the instruments of a running robot: images and readings from ROS topics, poses to ROS topics.
 

@@ -328,12 +328,6 @@ class MethodOptions:
         return replace(settings, **given)
 
 
-DEFAULT_CAMERA = CameraOptions()
-DEFAULT_FRAME_CAMERA = FrameCameraOptions()
-DEFAULT_GUESSED_CAMERA = GuessedCameraOptions()
-DEFAULT_READING = ReadingOptions()
-
-
 @Parameter(name="*", group=SEGMENT)
 @dataclass(frozen=True, kw_only=True)
 class SegmentOptions:
@@ -447,14 +441,6 @@ class CalibrationOptions:
         if len(arms) > 1 and self.calibration is not None and not self.calibration.is_dir():
             expected = "expected the folder that calibrate wrote, with a session.json for each arm"
             raise InputError(f"--session: {expected}, got {self.calibration}")
-
-
-DEFAULT_INSTRUMENT = InstrumentOptions()
-DEFAULT_URDF = UrdfOptions()
-DEFAULT_METHOD = MethodOptions()
-DEFAULT_SEGMENT = SegmentOptions()
-DEFAULT_PROMPTS = PromptOptions()
-DEFAULT_CALIBRATION = CalibrationOptions()
 
 
 def split_packages(texts: Iterable[str]) -> dict[str, Path]:

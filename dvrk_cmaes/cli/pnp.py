@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import (
-    DEFAULT_CAMERA,
-    DEFAULT_INSTRUMENT,
     FRAME,
     OUTPUT,
     CameraOptions,
@@ -33,8 +31,8 @@ def pnp(
     points: Annotated[Literal["markers", "tips"], Parameter(group=FRAME)] = "markers",
     solver: Annotated[Literal["sqpnp", "ransac"], Parameter(group=FRAME)] = "sqpnp",
     markers: Annotated[Path | None, Parameter(group=FRAME)] = None,
-    camera: CameraOptions = DEFAULT_CAMERA,
-    instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
+    camera: CameraOptions = CameraOptions(),
+    instrument: InstrumentOptions = InstrumentOptions(),
 ) -> int:
     """Estimate the poses of a session from image points and readings by PnP, as a baseline for comparisons.
 

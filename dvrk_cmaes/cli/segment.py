@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import (
-    DEFAULT_PROMPTS,
-    DEFAULT_SEGMENT,
     FRAME,
     MOST_THREADS,
     OUTPUT,
@@ -31,8 +29,8 @@ def segment(
     source: Annotated[Path, Parameter(group=FRAME)],
     /,
     *,
-    model: SegmentOptions = DEFAULT_SEGMENT,
-    prompts: PromptOptions = DEFAULT_PROMPTS,
+    model: SegmentOptions = SegmentOptions(),
+    prompts: PromptOptions = PromptOptions(),
     instrument: Annotated[str, Parameter(group=SEGMENT)] = "lnd",
     threads: Annotated[int, Parameter(group=OUTPUT)] = 2,
     out: Annotated[Path, Parameter(group=OUTPUT)] = Path("dvrk-cmaes-masks"),

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dvrk_cmaes.cli.options import DEFAULT_READING, TWIN, ReadingOptions, joint_files, load_tool
+from dvrk_cmaes.cli.options import TWIN, ReadingOptions, joint_files, load_tool
 from dvrk_cmaes.cli.terminal import Line, answer, note, show, warn
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import no_folder
@@ -34,7 +34,7 @@ def read_arms(
     check: Callable[[Collection[str]], None] = lambda arms: None,
     guess: CameraGuess | None = None,
     joints: Sequence[Path] | None = (),
-    reading: ReadingOptions = DEFAULT_READING,
+    reading: ReadingOptions = ReadingOptions(),
     video: Video | None = None,
     labelled: bool = False,
     ahead: bool = True,

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import (
-    DEFAULT_CAMERA,
-    DEFAULT_URDF,
     LARGEST_SEED,
     OUTPUT,
     CameraOptions,
@@ -140,17 +138,14 @@ class SynthOptions:
         )
 
 
-DEFAULT_WANTED = SynthOptions()
-
-
 def synth(
     out: Path,
     /,
     *,
-    wanted: SynthOptions = DEFAULT_WANTED,
+    wanted: SynthOptions = SynthOptions(),
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
-    camera: CameraOptions = DEFAULT_CAMERA,
-    instrument: UrdfOptions = DEFAULT_URDF,
+    camera: CameraOptions = CameraOptions(),
+    instrument: UrdfOptions = UrdfOptions(),
 ) -> int:
     """Write a synthetic session with known true poses, in the layout of a session folder.
 

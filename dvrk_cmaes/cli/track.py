@@ -13,10 +13,6 @@ from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import (
     AUTO,
-    DEFAULT_CALIBRATION,
-    DEFAULT_CAMERA,
-    DEFAULT_INSTRUMENT,
-    DEFAULT_PROMPTS,
     FOLDER,
     METHOD,
     MOST_SKIPPED,
@@ -139,7 +135,7 @@ class TrackOptions:
         """Raise an InputError for an option that cannot hold for several arms."""
         of_one = {"--first-mask": self.first_mask, "--rerun": self.rerun, "--joints FILE": self.readings}
         given = [name for name, path in of_one.items() if path is not None]
-        if place != DEFAULT_PROMPTS:
+        if place != PromptOptions():
             given.append("--box, --point")
         if given:
             raise InputError(f"{given[0]}: expected one arm (--only ARM), got a session of several")
@@ -164,7 +160,7 @@ class TrackOptions:
         if doubled:
             warn(f"left out, for they have the time of the frame before: {listed(doubled)}")
         used, evidence = used_session(timed, self.evidence)
-        hints = hints_of(used.frames[0]) if place == DEFAULT_PROMPTS else None
+        hints = hints_of(used.frames[0]) if place == PromptOptions() else None
         same = ("every", "causal", "workers", "resume", "video", "page", "rerun")
         settings = TrackSettings(
             config=config,
@@ -183,18 +179,15 @@ class TrackOptions:
         )
 
 
-DEFAULT_FOLLOW = TrackOptions()
-
-
 def track(
     session: Annotated[Path, Parameter(group=FOLDER)],
     /,
     *,
-    follow: TrackOptions = DEFAULT_FOLLOW,
-    place: PromptOptions = DEFAULT_PROMPTS,
-    calibrated: CalibrationOptions = DEFAULT_CALIBRATION,
-    camera: CameraOptions = DEFAULT_CAMERA,
-    instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
+    follow: TrackOptions = TrackOptions(),
+    place: PromptOptions = PromptOptions(),
+    calibrated: CalibrationOptions = CalibrationOptions(),
+    camera: CameraOptions = CameraOptions(),
+    instrument: InstrumentOptions = InstrumentOptions(),
     config: Annotated[Path | None, Parameter(group=METHOD)] = None,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
