@@ -264,19 +264,12 @@ def _begin_arm(
             if done.interrupted:
                 return Begun.of(None)
             alone = done.results
-        from dvrk_cmaes.runs.calibrate_folder import begin_folder
+        from dvrk_cmaes.runs.calibrate_folder import FolderCalibration
 
-        begun = begin_folder(
-            arm,
-            alone,
-            target,
-            processes,
-            alone=results,
-            refine_camera=refine_camera,
-            lag=lag,
-            config=settings,
-            progress=lambda stage, count: note(f"{stage}: {count} frames"),
+        folder = FolderCalibration(
+            arm, target, results, processes, settings, lambda stage, k: note(f"{stage}: {k} frames")
         )
+        begun = folder.begin(alone, refine_camera=refine_camera, lag=lag)
         return begun.within(stack.pop_all())
 
 

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -50,96 +51,98 @@ CAMERA = "camera.yaml"
 """File of the camera with which the session was solved, where that is not the session's own; of a rig, VIEW.yaml."""
 
 
-def begin_folder(
-    arm: ArmInSession,
-    results: Mapping[str, Result],
-    out: Path,
-    processes: Pool,
-    *,
-    alone: Path,
-    refine_camera: bool,
-    lag: Lag | Literal["auto"] | None,
-    config: EstimateConfig,
-    progress: Callable[[str, int], None],
-) -> Begun[SolvedSession]:
-    """Solve a session folder of an arm from its frames' own results; what finishes it writes everything to a folder.
+@dataclass(frozen=True, eq=False)
+class FolderCalibration:
+    """The calibration of an arm's session folder from its frames' own results, of which all files are written.
 
-    Finish it by `solved_together` or `solved_alone`.
-
-    ``processes`` are those of `instrument_pool`. ``alone`` is the folder of those results; masks that were found in
-    images, and overlays of frames that are left out, are taken from there. All files are written to a temporary folder,
-    which takes the place of an earlier one when it is whole.
-
-    Raises
-    ------
-    InputError
-        As `dvrk_cmaes.calibrate_session`; results of another instrument; a folder that cannot be written to.
-    DvrkCmaesError
-        A process died, or the disk is full.
+    ``alone`` is the folder of those results; masks that were found in images, and overlays of frames that are left out,
+    are taken from there. ``processes`` are those of `instrument_pool`. All files are written to a temporary folder,
+    which takes the place of an earlier ``out`` when it is whole.
     """
-    session, instrument = arm.session, arm.body.instrument
-    files = {own.name: _with_mask(own, alone) for own in session.frames}
-    frames = []
-    for name, own in files.items():
-        check_output(out, name)
-        if name not in results:
-            continue
-        result = results[name]
-        if result.instrument != instrument.name:
-            raise InputError(
-                f"frame {name}: instrument: expected {instrument.name}, got a result of {result.instrument}"
-            )
-        reader = functools.partial(read_frame, own, session.rig)
-        frames.append(SessionFrame(name, reader, result, own.keypoints))
-    used = config.with_found_masks() if any(not each.has_mask for each in session.frames) else config
-    run = functools.partial(run_with_body, processes, instrument_digest(instrument), used)
-    series, refined = session.reading_series(), (refine_camera or session.guessed, session.guessed)
-    problem = ArmSetup(series, instrument, arm.kinematics, used, run, progress, *refined, lag=lag)
-    return begin_arm(frames, problem).then(functools.partial(_written, arm, files, out, alone, config, progress, run))
 
+    arm: ArmInSession
+    out: Path
+    alone: Path
+    processes: Pool
+    config: EstimateConfig
+    progress: Callable[[str, int], None]
 
-def _written(
-    arm: ArmInSession,
-    files: Mapping[str, FrameFiles],
-    out: Path,
-    alone: Path,
-    config: EstimateConfig,
-    progress: Callable[[str, int], None],
-    run: Run[Any, Any],
-    found: tuple[SolvedSession, dict[str, Evidence]],
-) -> SolvedSession:
-    """Write a calibration with drawings of its frames; returns it with the cameras with which it was solved.
+    @cached_property
+    def files(self) -> dict[str, FrameFiles]:
+        """The files of the frames by name, with the masks that were found in images."""
+        return {own.name: _with_mask(own, self.alone) for own in self.arm.session.frames}
 
-    Arguments are as of `begin_folder`, with the ``files`` by frame; ``run`` applies a function to many tasks.
-    """
-    (solved, evidence), session = found, arm.session
-    progress("drawing", len(solved.leave_one_out))
-    corrected = Rig(solved.calibration.corrected_views(session.rig.views))
-    calibration = replace(solved.calibration, views=tuple(ViewDocument.of(view) for view in corrected.views))
-    # the camera that was found is the session's from here on
-    if session.guessed and calibration.camera is not None:
-        calibration = replace(calibration, camera=calibration.camera.of_the_camera_found())
-        session = replace(session, rig=corrected)
-    solved = replace(solved, calibration=calibration)
-    tasks = [(files[k], solved.results[k], left_out, evidence[k]) for k, left_out in solved.leave_one_out.items()]
-    drawn = run(functools.partial(draw_task, rig=session.rig, calibrated=corrected), tasks)
-    pictures = dict(zip(solved.leave_one_out, drawn, strict=True))
-    with whole_folder(out, "calibrate", overwrite=True, kept=(ALONE,)) as place:
-        for name, result in solved.results.items():
-            if name in pictures:
-                overlay, left_out_overlay = pictures[name]
-                write_bytes(overlay_path(place, name), overlay)
-                write_bytes(left_out_path(place, name), left_out_overlay)
-            elif overlay_path(alone, name).is_file():
-                write_bytes(overlay_path(place, name), overlay_path(alone, name).read_bytes())
-            write_json(result_path(place, name), result.to_dict())
-        write_cameras(calibration, session.rig, place)
-        write_json(place / SESSION, calibration.to_dict())
-        setup = BatchSetup(arm.body.instrument, session.rig, config, arm.kinematics, session.folder)
-        stamps = {own.name: frame_stamps(own) for own in session.frames if own.name in solved.results}
-        opened_output(place).describe(manifest_of(setup, stamps) | {"solved": "together"})
-        finish(place, trust=config.trust)
-    return solved
+    @property
+    def _used(self) -> EstimateConfig:
+        """The settings, for masks that were found, if some were."""
+        given = all(each.has_mask for each in self.arm.session.frames)
+        return self.config if given else self.config.with_found_masks()
+
+    @property
+    def _run(self) -> Run[Any, Any]:
+        """Applies a function to many tasks."""
+        return functools.partial(run_with_body, self.processes, instrument_digest(self.arm.body.instrument), self._used)
+
+    def begin(
+        self, results: Mapping[str, Result], *, refine_camera: bool, lag: Lag | Literal["auto"] | None
+    ) -> Begun[SolvedSession]:
+        """Solve the session; finish it by `solved_together` or `solved_alone`, which writes everything.
+
+        Raises
+        ------
+        InputError
+            As `dvrk_cmaes.calibrate_session`; results of another instrument; a folder that cannot be written to.
+        DvrkCmaesError
+            A process died, or the disk is full.
+        """
+        session, instrument, frames = self.arm.session, self.arm.body.instrument, []
+        for name, own in self.files.items():
+            check_output(self.out, name)
+            if name not in results:
+                continue
+            result = results[name]
+            if result.instrument != instrument.name:
+                raise InputError(
+                    f"frame {name}: instrument: expected {instrument.name}, got a result of {result.instrument}"
+                )
+            reader = functools.partial(read_frame, own, session.rig)
+            frames.append(SessionFrame(name, reader, result, own.keypoints))
+        series, refined = session.reading_series(), (refine_camera or session.guessed, session.guessed)
+        used = self._used, self._run, self.progress
+        problem = ArmSetup(series, instrument, self.arm.kinematics, *used, *refined, lag=lag)
+        return begin_arm(frames, problem).then(self._written)
+
+    def _written(self, found: tuple[SolvedSession, dict[str, Evidence]]) -> SolvedSession:
+        """Write a calibration with drawings of its frames; returns it with the cameras with which it was solved."""
+        (solved, evidence), session, alone = found, self.arm.session, self.alone
+        self.progress("drawing", len(solved.leave_one_out))
+        corrected = Rig(solved.calibration.corrected_views(session.rig.views))
+        calibration = replace(solved.calibration, views=tuple(ViewDocument.of(view) for view in corrected.views))
+        # the camera that was found is the session's from here on
+        if session.guessed and calibration.camera is not None:
+            calibration = replace(calibration, camera=calibration.camera.of_the_camera_found())
+            session = replace(session, rig=corrected)
+        solved = replace(solved, calibration=calibration)
+        left_out = solved.leave_one_out
+        tasks = [(self.files[k], solved.results[k], own, evidence[k]) for k, own in left_out.items()]
+        drawn = self._run(functools.partial(draw_task, rig=session.rig, calibrated=corrected), tasks)
+        pictures = dict(zip(left_out, drawn, strict=True))
+        with whole_folder(self.out, "calibrate", overwrite=True, kept=(ALONE,)) as place:
+            for name, result in solved.results.items():
+                if name in pictures:
+                    overlay, left_out_overlay = pictures[name]
+                    write_bytes(overlay_path(place, name), overlay)
+                    write_bytes(left_out_path(place, name), left_out_overlay)
+                elif overlay_path(alone, name).is_file():
+                    write_bytes(overlay_path(place, name), overlay_path(alone, name).read_bytes())
+                write_json(result_path(place, name), result.to_dict())
+            write_cameras(calibration, session.rig, place)
+            write_json(place / SESSION, calibration.to_dict())
+            setup = BatchSetup(self.arm.body.instrument, session.rig, self.config, self.arm.kinematics, session.folder)
+            stamps = {own.name: frame_stamps(own) for own in session.frames if own.name in solved.results}
+            opened_output(place).describe(manifest_of(setup, stamps) | {"solved": "together"})
+            finish(place, trust=self.config.trust)
+        return solved
 
 
 def _with_mask(files: FrameFiles, alone: Path) -> FrameFiles:
