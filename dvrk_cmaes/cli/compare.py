@@ -65,13 +65,15 @@ def compare(
     instrument
         The instrument, for the tips of sets that do not state them.
     out
-        Folder for compare.csv, one row a frame, and compare.html, a page with plots and the overlays that differ most.
+        Folder for compare.csv, a row for each frame of each set, and compare.html, a page with plots and the overlays
+        that differ most.
     json
         Print only the comparison, as JSON, on stdout.
     """
     from dvrk_cmaes.evaluate.compared_set import read_compared_set
     from dvrk_cmaes.evaluate.comparison import compare_sets
     from dvrk_cmaes.io.atomic import write_text
+    from dvrk_cmaes.io.csv_file import csv_text
     from dvrk_cmaes.io.output import LONG, check_files, output
     from dvrk_cmaes.report.compare_page import PAGE, write_compare_page
     from dvrk_cmaes.results.paths import check_writable
@@ -98,7 +100,8 @@ def compare(
     written = []
     if out is not None:
         with output(out, "compare", wait=LONG):
-            write_text(out / _TABLE, _csv_text(found))
+            table = found.frames_table(found.frames)
+            write_text(out / _TABLE, csv_text(table.head, table.rows))
             written += [out / _TABLE, write_compare_page(out, found)]
     more = {} if of_labels is None else {"labels": of_labels.to_dict()}
     tables = [
@@ -150,28 +153,3 @@ def _frames(comparison: Comparison, most: int) -> Iterator[Line]:
     yield from table_lines(comparison.frames_table(chosen))
     if len(chosen) < len(comparison.by_size):
         yield Line(f"and {len(comparison.by_size) - len(chosen)} frames that differ less (--frames 0 shows all)")
-
-
-def _csv_text(comparison: Comparison) -> str:
-    """Format all frames as a table, the columns of each set after its label; cells without a value are blank."""
-    from dvrk_cmaes.evaluate.comparison import QUANTITIES
-    from dvrk_cmaes.io.csv_file import csv_text
-
-    joints = list(
-        dict.fromkeys(n for by in comparison.differences for difference in by.values() for n in difference.joints_deg)
-    )
-    columns = ["status", "iou", *QUANTITIES, *(f"{name}_deg" for name in joints)]
-    header, rows = ["frame", *(f"{label}_{name}" for label in comparison.labels for name in columns)], []
-    for frame in comparison.frames:
-        cells: list[object] = [frame]
-        for compared, by_frame in zip(comparison.sets, comparison.differences, strict=True):
-            entry, found = compared.frames.get(frame), by_frame.get(frame)
-            values: list[object] = [None, None] if entry is None else [entry.status, entry.iou]
-            if found is None:
-                values += [None] * (len(columns) - 2)
-            else:
-                values += [getattr(found, name) for name in QUANTITIES]
-                values += [found.joints_deg.get(name) for name in joints]
-            cells += [round(value, 6) if isinstance(value, float) else value for value in values]
-        rows.append(cells)
-    return csv_text(header, rows)
