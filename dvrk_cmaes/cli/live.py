@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -330,30 +329,25 @@ def shown_state(*, renewed: float = _RENEWED, lines: float = _LINES) -> Iterator
 
     It is shown again after ``renewed`` or ``lines``, s.
     """
-    last = time.monotonic()
-
-    def due(every: float) -> bool:
-        nonlocal last
-        now = time.monotonic()
-        if now - last < every:
-            return False
-        last = now
-        return True
-
-    if not sys.stderr.isatty():
-        yield lambda state: note(state()) if due(lines) else None
-        return
     from rich.console import Console
     from rich.live import Live
     from rich.text import Text
 
-    with Live(console=Console(stderr=True), auto_refresh=False) as line:
+    console, last = Console(stderr=True), time.monotonic()
+    with Live(console=console, auto_refresh=False, transient=not console.is_terminal) as line:
 
-        def renew(state: Callable[[], str]) -> None:
-            if due(renewed):
+        def show_due(state: Callable[[], str]) -> None:
+            nonlocal last
+            now = time.monotonic()
+            if now - last < (renewed if console.is_terminal else lines):
+                return
+            last = now
+            if console.is_terminal:
                 line.update(Text(state(), no_wrap=True, overflow="ellipsis"), refresh=True)
+            else:
+                note(state())
 
-        yield renew
+        yield show_due
 
 
 @contextmanager

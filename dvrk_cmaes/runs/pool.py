@@ -79,8 +79,6 @@ class Workers:
         Exceptions of a future whose worker has died so often that the executor gave the task up.
     """
 
-    here = False
-
     def __init__(
         self, executor: Executor, at_once: Callable[[], int], gives_up: tuple[type[BaseException], ...] = ()
     ) -> None:
@@ -92,11 +90,6 @@ class Workers:
             return self._executor.submit(call, *arguments)
         except (RuntimeError, OSError) as error:  # RuntimeError: shut down, or broken
             raise _lost(error) from error
-
-    @contextlib.contextmanager
-    def prepared_here(self) -> Iterator[None]:
-        """Prepare this process for tasks, if it does some."""
-        yield
 
     def value(self, future: Future[R]) -> R | WorkerDied:
         """Return the value of a call that has ended."""
@@ -162,14 +155,6 @@ class Pool(Workers):
                 spawn = multiprocessing.get_context("spawn")
                 self._pool = ProcessPoolExecutor(self.count, spawn, _begin, (self._packed.name,))
             return self._pool.submit(call, *arguments)
-
-    @contextlib.contextmanager
-    def prepared_here(self) -> Iterator[None]:
-        """Prepare this process for tasks, if it does some, with one thread in its libraries meanwhile."""
-        with single_library_threads() if self.here else contextlib.nullcontext():
-            if self.here:
-                self.start()
-            yield
 
     def value(self, future: Future[R]) -> R:
         """Return the value of a call that has ended; raises what the call raised."""
@@ -252,15 +237,18 @@ def run(
     limit = () if time_limit is None or not isinstance(workers, Pool) else (limited, time_limit)
     running: dict[Future[Any], T] = {}
     alone: deque[T] = deque()  # those that were in flight when a process died
-    with workers.prepared_here():
+    here = isinstance(workers, Pool) and workers.here
+    with single_library_threads() if here else contextlib.nullcontext():
         try:
+            if isinstance(workers, Pool) and workers.here:
+                workers.start()
             while True:
                 while not stop.is_set() and (not running if alone else len(running) < workers.at_once()):
                     task = alone[0] if alone else next(source, None)
                     if task is None:
                         break
                     running[workers.submit(*limit, call, task)] = task
-                own = next(source, None) if workers.here and not alone and not stop.is_set() else None
+                own = next(source, None) if here and not alone and not stop.is_set() else None
                 if own is not None:
                     yield own, call(own)
                 elif not running:
