@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
 from dvrk_cmaes.config import __version__
-from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.geometry import Float64, Image, Posed, in_parent
 from dvrk_cmaes.io.encode import encoded, encoded_fields
 from dvrk_cmaes.io.rounding import rounded_matrix
@@ -27,7 +27,6 @@ from dvrk_cmaes.io.typed_document import (
     refused,
 )
 from dvrk_cmaes.results.drawn_over import drawn_over
-from dvrk_cmaes.results.links import LinkModel, camera_from_links
 from dvrk_cmaes.results.parts import (
     Alternative,
     ExpectedError,
@@ -38,6 +37,9 @@ from dvrk_cmaes.results.parts import (
     posed,
     std_document,
 )
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.instrument import Instrument
 
 __all__ = [
     "POSE_AXES",
@@ -129,7 +131,7 @@ class Result:
     seed: Count = 0
     version: str = ""
     config: dict[str, Any] = field(default_factory=dict)
-    model: LinkModel | None = field(default=None, repr=False)
+    model: Any = field(default=None, repr=False)
     renderer: Any = field(default=None, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -291,7 +293,7 @@ class Result:
         """
         return data_frame([self.to_row()])
 
-    def links(self, instrument: LinkModel | None = None) -> dict[str, Float64]:
+    def links(self, instrument: Instrument | None = None) -> dict[str, Float64]:
         """Return camera_from_link (4, 4), m, of each link with geometry by name; empty without a pose.
 
         ``instrument`` is needed for a result that was read from a file; by default it is the one that was estimated.
@@ -308,7 +310,15 @@ class Result:
         """
         if self.camera_from_root is None:
             return {}
-        return camera_from_links(self.camera_from_root, self.joints, instrument or self.model)
+        model: Instrument | None = instrument or self.model
+        if model is None:
+            raise InputError("links: expected the instrument of a result that was read from a file, got none")
+        joints, missing = self.joints, [name for name in model.joint_names if name not in self.joints]
+        if missing:
+            said = f"expected a value of {missing[0]} of {model.name}, got {', '.join(joints)}"
+            raise InputError(f"links: joints: {said}")
+        poses = self.camera_from_root @ model.forward([joints[name] for name in model.joint_names])
+        return {link.name: pose for link, pose in zip(model.links, poses, strict=True)}
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result in the documented schema, ready for JSON."""
