@@ -30,6 +30,8 @@ AXES: tuple[tuple[str, Colour], ...] = (("x", VERMILLION), ("y", GREEN), ("z", S
 
 _SHIFT = 4  # fractional bits of OpenCV's fixed-point coordinates
 _WIDEST = 20.0  # units, of a line with its rim, and the pixels that its antialiasing reaches
+_STRIP: Colour = (52, 46, 43)
+_LINE, _MARGIN = 26.0, 14.0  # units, from line to line and beside the lines
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
@@ -50,6 +52,36 @@ def beside(pictures: Sequence[Image]) -> Image:
         for picture in pictures
     ]
     return np.asarray(np.concatenate(padded, axis=1), dtype=np.uint8)
+
+
+def strip(width: int, unit: float, lines: Sequence[Sequence[tuple[str, Colour]]], *, size: float = 0.55) -> Image:
+    """Return a dark strip (H, width, 3) BGR with lines of texts, each in its colour, wrapped where there is no room.
+
+    Parameters
+    ----------
+    width
+        Width, px.
+    unit
+        As of `Canvas`.
+    lines
+        The lines, each of texts with their colours.
+    size
+        Size of the letters, of OpenCV.
+    """
+    placed, row, probe = [], -1, Canvas(plain(1, 1, DARK), unit)
+    for texts in lines:
+        left, row = _MARGIN * unit, row + 1
+        for text, colour in texts:
+            for word in (*text.split(), "  "):  # which is between two texts
+                wide = probe.text_width(f"{word} ", size)
+                if left + wide > width and left > _MARGIN * unit:
+                    left, row = _MARGIN * unit, row + 1
+                placed.append((word, (left, unit * _LINE * (row + 0.5)), colour))
+                left += wide
+    canvas = Canvas(plain(max(1, round(unit * _LINE * (row + 1))), width, _STRIP), unit)
+    for word, at, colour in placed:
+        canvas.text(word, at, colour, size=size)
+    return canvas.image
 
 
 class Canvas:
@@ -124,12 +156,6 @@ class Canvas:
         at = np.divmod(np.flatnonzero(where), where.shape[1])
         self.image[at] = np.rint(self.image[at] * (1 - share) + share * np.array(colour)).astype(np.uint8)
 
-    def box(self, corner: tuple[float, float], size: tuple[float, float], colour: Colour) -> None:
-        """Fill a rectangle, given by its upper left corner (u, v) and its size (width, height), px."""
-        start = np.rint(corner).astype(int)
-        end = np.rint(np.add(corner, size)).astype(int)
-        self.image[max(start[1], 0) : end[1], max(start[0], 0) : end[0]] = colour
-
     def text(
         self, text: str, at: tuple[float, float], colour: Colour = WHITE, *, size: float = 0.5, rim: bool = False
     ) -> None:
@@ -146,17 +172,6 @@ class Canvas:
     def text_width(self, text: str, size: float = 0.5) -> float:
         """Return the width of a line of text, px."""
         return float(cv2.getTextSize(_plain(text), _FONT, size * self.unit, self._thickness(1.2))[0][0])
-
-    def wrapped(self, text: str, width: float, size: float = 0.5) -> list[str]:
-        """Break a text between words into lines of at most ``width`` px; a longer word is a line of its own."""
-        lines = [""]
-        for word in text.split():
-            longer = f"{lines[-1]} {word}".strip()
-            if lines[-1] and self.text_width(longer, size) > width:
-                lines.append(word)
-            else:
-                lines[-1] = longer
-        return lines
 
     def _thickness(self, width: float) -> int:
         return max(1, round(width * self.unit))

@@ -7,23 +7,23 @@ from collections.abc import Mapping, Sequence
 import cv2
 import numpy as np
 
-from dvrk_cmaes.draw.canvas import DARK, GREEN, ORANGE, PURPLE, SKY_BLUE, VERMILLION, YELLOW, Canvas, Colour, beside
+from dvrk_cmaes.draw.canvas import DARK, GREEN, ORANGE, PURPLE, SKY_BLUE, YELLOW, Colour, beside, strip
+from dvrk_cmaes.draw.panels import STATUS
 from dvrk_cmaes.geometry import Bool, Image
 from dvrk_cmaes.results.tracked import TrackView
 
-_STATUS: dict[str, Colour] = {"ok": GREEN, "doubtful": YELLOW, "lost": VERMILLION}
 _ARMS: tuple[Colour, ...] = (SKY_BLUE, ORANGE, GREEN, PURPLE)  # in their order; the fifth has that of the first again
 _FAINT = 0.25  # brightness of the mask where there is no image
 _TINT = 0.35  # of an arm's colour within its tool
 _MASK_LINES, _LINES = 150, 320  # widths of a line in that of the picture: 4 and 2 px at 640 px, 9 and 4 px at 1280
-_STRIP, _MARGIN, _SIZE = 22, 6, 0.45  # px at 640 px: height of a strip with the status, its margin; size of its text
+_SIZE = 0.45  # of the letters
 
 
 def draw_track(views: Sequence[TrackView], *, frame: str, status: str, reasons: Sequence[str]) -> Image:
     """Draw the views beside each other, and a strip with the status, (H, W, 3) BGR."""
     drawn = draw_outlines(views)
     text = f"{frame}  {status}" + (f": {reasons[0]}" if reasons else "")
-    _write(drawn, [(text, _STATUS[status])])
+    _write(drawn, [(text, STATUS[status])])
     return drawn
 
 
@@ -85,18 +85,6 @@ def _contour(picture: Image, region: Bool, colour: Colour, lines: int) -> None:
 
 
 def _write(picture: Image, texts: Sequence[tuple[str, Colour]]) -> None:
-    """Write texts, each in a colour, one after the other on dark strips at the top of a picture, as many as needed."""
-    canvas = Canvas(picture, max(1.0, picture.shape[1] / 640))
-    left, row = _MARGIN * canvas.unit, 0
-    placed: list[tuple[str, tuple[float, float], Colour]] = []
-    for text, colour in texts:
-        for word in (*text.split(), ""):
-            wide = canvas.text_width(f"{word} ", _SIZE)
-            if left + wide > picture.shape[1] and placed:
-                left, row = _MARGIN * canvas.unit, row + 1
-            placed.append((word, (left, canvas.unit * _STRIP * (row + 0.5)), colour))
-            left += wide
-    strip = picture[: round(canvas.unit * _STRIP * (row + 1))]
-    strip[:] = (strip * 0.3).astype(np.uint8)
-    for word, at, colour in placed:
-        canvas.text(word, at, colour, size=_SIZE)
+    """Write texts, each in a colour, one after the other on a dark strip over the top of a picture."""
+    drawn = strip(picture.shape[1], max(1.0, picture.shape[1] / 640), [texts], size=_SIZE)
+    picture[: len(drawn)] = drawn[: len(picture)]

@@ -8,14 +8,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.draw.canvas import DARK, GREEN, ORANGE, SKY_BLUE, VERMILLION, WHITE, YELLOW, Canvas
+from dvrk_cmaes.draw.canvas import DARK, GREEN, ORANGE, SKY_BLUE, VERMILLION, WHITE, YELLOW, Canvas, strip
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.segment import Box, Pixel, Segmentation
 from dvrk_cmaes.segment.segmentation import GUESS
 
 _WIDTH = 960  # px, least width of the drawing
-_BACKGROUND = (52, 46, 43)
-_LINE = 28.0  # units of the canvas from line to line
 _FADED = 0.45  # share of the dark colour that is mixed into the background
 
 
@@ -70,19 +68,9 @@ def draw_segmentation(
 
 def _header(segmentation: Segmentation, name: str, width: int, unit: float) -> NDArray[np.uint8]:
     """Draw the strip of text: whether the mask is a guess, its confidence, and the notes."""
-    margin = 14 * unit
-    probe = Canvas(np.zeros((1, 1, 3), np.uint8), unit)
-    notes = [line for note in segmentation.notes for line in probe.wrapped(f"- {note}", width - 2 * margin)]
-    strip = np.full((round((_LINE * (1 + len(notes)) + 12) * unit), width, 3), _BACKGROUND, np.uint8)
-    canvas = Canvas(strip, unit)
     word, colour = ("A GUESS", ORANGE) if segmentation.confidence < GUESS else ("MASK", GREEN)
-    middle = (6 + _LINE / 2) * unit
-    badge = canvas.text_width(word, 0.6) + 16 * unit
-    canvas.box((margin, middle - 11 * unit), (badge, 22 * unit), colour)
-    canvas.text(word, (margin + 8 * unit, middle), DARK, size=0.6)
     share = f"{100 * float(segmentation.mask.mean()):.1f} % of the image"
-    text = f"{name}   confidence {segmentation.confidence:.2f}   {share}"
-    canvas.text(text, (margin + badge + 14 * unit, middle), WHITE, size=0.6)
-    for k, line in enumerate(notes, start=1):
-        canvas.text(line, (margin, middle + k * _LINE * unit), colour)
-    return canvas.image
+    text = f"{name}, confidence {segmentation.confidence:.2f}, {share}"
+    return strip(
+        width, unit, [[(word, colour), (text, WHITE)], *([(f"- {note}", colour)] for note in segmentation.notes)]
+    )
