@@ -96,6 +96,7 @@ _REMOVED: Final[tuple[tuple[Sequence[str], Sequence[str], str], ...]] = (
         "--layout side-by-side after `ffmpeg -i IN -vf scale=2*iw:ih OUT`",
     ),
     (("import",), ("--layout squeezed-top-bottom",), "--layout top-bottom after `ffmpeg -i IN -vf scale=iw:2*ih OUT`"),
+    (("import",), ("--interlaced",), "`ffmpeg -i IN -vf bwdif=send_field OUT`, which makes an image of each field"),
     (("track",), ("--columns",), _TOOL),
     (("track",), ("--layout", "--video-start"), "`dvrk-cmaes import`"),
     (("track",), ("--frame-offset", "--frame-step"), "times in joints.csv and images.csv, or `dvrk-cmaes import`"),

@@ -25,9 +25,9 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import shown
 
 if TYPE_CHECKING:
+    from dvrk_cmaes.joints.interpolation import TimedReadings
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.joints.rows import JointFile
-    from dvrk_cmaes.recording.pose_table import PoseTable
     from dvrk_cmaes.recording.write_session import ImportSummary
 
 SELECTION = Group.create_ordered("Selection")
@@ -120,8 +120,6 @@ class VideoFiles:
     masks
         Masks of the images: a folder of them, named as the rows of --joints or by the numbers of the images, a video of
         masks, or a COCO file.
-    interlaced
-        The pictures of the video are interlaced: make an image of each field, the top or the bottom one first.
     """
 
     camera: Path | None = None
@@ -130,7 +128,6 @@ class VideoFiles:
     layout: LayoutOption = None
     crop: str | None = None
     masks: Path | None = None
-    interlaced: Literal["top", "bottom"] | None = None
 
     def check(self) -> None:
         """Raise an InputError for a start that is none."""
@@ -266,8 +263,7 @@ def import_recording(
     from dvrk_cmaes.frames.picture_fit import parse_crop
     from dvrk_cmaes.recording.readers import open_recording
     from dvrk_cmaes.recording.recording import Asked
-    from dvrk_cmaes.recording.topics import TopicRequest
-    from dvrk_cmaes.recording.write_session import ImageSelection, write_session
+    from dvrk_cmaes.recording.write_session import write_session
 
     check_own_folder(recording)
     asked = Asked(
@@ -279,16 +275,17 @@ def import_recording(
         start=video.video_start,
         layout=video.layout,
         crop=None if video.crop is None else parse_crop("--crop", video.crop),
-        first_field=video.interlaced,
         episode=part.episode,
-        topics=TopicRequest(**vars(topics)),
+        **vars(topics),
     )
     with open_recording(recording, asked) as opened:
         shown = tracked(opened.images, "Importing", opened.total)
         summary = write_session(
             replace(opened, images=iter(shown)),
             out,
-            selection=ImageSelection(selected.every, selected.start, selected.end),
+            every=selected.every,
+            start=selected.start,
+            end=selected.end,
             tolerance=selected.tolerance,
             lag=taken,
             overwrite=overwrite,
@@ -304,8 +301,10 @@ def import_recording(
     return 0
 
 
-def _table(joints: Path | None, poses: PoseOptions, arm: str | None) -> Path | PoseTable | JointFile | None:
-    """Return the file of readings, or the table of poses with its meaning if --pose-of is given."""
+def _table(
+    joints: Path | None, poses: PoseOptions, arm: str | None
+) -> Path | JointFile | tuple[TimedReadings, ...] | None:
+    """Return the file of readings, or those that are found from the table of poses if --pose-of is given."""
     if poses.pose_of is None:
         if poses != PoseOptions():
             raise InputError("--pose-of: expected tip or wrist-yaw with --pose-base, --kinematics and --tool, got none")
@@ -321,11 +320,11 @@ def _table(joints: Path | None, poses: PoseOptions, arm: str | None) -> Path | P
 
     from dvrk_cmaes.export.cartesian_pose import read_cartesian_pose
     from dvrk_cmaes.instrument.dvrk_description import read_tool
-    from dvrk_cmaes.recording.pose_table import PoseTable
+    from dvrk_cmaes.recording.pose_table import read_pose_table
 
     base = np.eye(4) if poses.pose_base == "local" else read_cartesian_pose(Path(poses.pose_base))
     tool = None if poses.tool is None else read_tool(poses.tool)
-    return PoseTable(joints, poses.pose_of, base, poses.kinematics, tool)
+    return read_pose_table(joints, poses.pose_of, base, poses.kinematics, tool)
 
 
 def _lag(text: str | None, calibration: Path | None) -> tuple[Lag | None, str]:

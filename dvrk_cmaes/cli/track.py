@@ -291,10 +291,10 @@ def _imported(path: Path, folder: Path, camera: Path | None, joints: Path | None
     """Write the session of a ROS recording, in place of an earlier one; returns its folder."""
     from dvrk_cmaes.recording.bag import open_bag
     from dvrk_cmaes.recording.recording import Asked
-    from dvrk_cmaes.recording.write_session import ImageSelection, write_session
+    from dvrk_cmaes.recording.write_session import write_session
 
     with open_bag(path, Asked(camera=camera, joints=joints)) as recording:
-        write_session(recording, folder, selection=ImageSelection(), tolerance=_TOLERANCE, overwrite=folder.exists())
+        write_session(recording, folder, tolerance=_TOLERANCE, overwrite=folder.exists())
     return folder
 
 

@@ -428,8 +428,8 @@ def _inspect_bag(path: Path) -> Finding:
 
     seconds, topics = list_topics(path)
     lines = [f"{seconds:.3f} s, {len(topics)} topics"]
-    lines += [f"{own.name}: {own.kind}, {own.count} messages, {own.rate:.1f} a second" for own in topics]
-    read = {"seconds": seconds, "topics": {own.name: {"type": own.kind, "messages": own.count} for own in topics}}
+    lines += [f"{name}: {kind}, {count} messages, {rate:.1f} a second" for name, (kind, count, rate) in topics.items()]
+    read = {"seconds": seconds, "topics": {n: {"type": kind, "messages": k} for n, (kind, k, _) in topics.items()}}
     return Finding("ROS recording", tuple(lines), read, ("dvrk-cmaes import reads images, camera and readings of it",))
 
 

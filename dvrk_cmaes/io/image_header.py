@@ -17,7 +17,7 @@ import simplejpeg
 #: Largest number of pixels of an image that is decoded: above the 33 of 8K; an estimate takes 30 bytes for each.
 MOST_PIXELS = 36_000_000
 
-_PNG = b"\x89PNG\r\n\x1a\n"
+PNG = b"\x89PNG\r\n\x1a\n"
 _CHANNELS = {2: 3, 4: 2, 6: 4}  # by colour type; others have one
 _OF_PIXELS = (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")
 _LAST_FILTER = 4  # of the filters of rows
@@ -42,7 +42,7 @@ class ImageHeader:
 def read_header(data: bytes) -> ImageHeader | None:
     """Read the header of a PNG or JPEG file; None for other files and for an invalid header."""
     try:
-        if data.startswith(_PNG) and data[12:16] == b"IHDR":
+        if data.startswith(PNG) and data[12:16] == b"IHDR":
             width, height, bits, colour = struct.unpack_from(">IIBB", data, 16)
             header = ImageHeader(width, height, bits, colour == 3, _png_is_whole(data))
         elif data.startswith(b"\xff\xd8"):
@@ -83,7 +83,7 @@ def foreign(data: bytes) -> str:
 
 def _chunks(data: bytes) -> Iterator[tuple[bytes, int, int]]:
     """Yield the kind of each chunk of a PNG up to IEND, and where its content begins and ends."""
-    position, kind = len(_PNG), b""
+    position, kind = len(PNG), b""
     while kind != b"IEND" and position + 12 <= len(data):
         (length,) = struct.unpack_from(">I", data, position)
         kind, begin = data[position + 4 : position + 8], position + 8
@@ -93,7 +93,7 @@ def _chunks(data: bytes) -> Iterator[tuple[bytes, int, int]]:
 
 def palette_as_grey(data: bytes) -> bytes:
     """Return a whole PNG with a palette as one in grey, whose values are the indices into the palette."""
-    parts = [_PNG]
+    parts = [PNG]
     for kind, begin, end in _chunks(data):
         content = data[begin:end]
         if kind == b"IHDR":
@@ -119,7 +119,7 @@ def checked_png(data: bytes) -> bytes:
 
     Other files are returned as they are.
     """
-    if not data.startswith(_PNG):
+    if not data.startswith(PNG):
         return data
     chunks = list(_chunks(data))
     kept = [data[begin - 8 : end + 4] for kind, begin, end in chunks if kind in _OF_PIXELS]
@@ -140,4 +140,4 @@ def checked_png(data: bytes) -> bytes:
         if size and rows and max(pixels[at : at + size * rows : size]) > _LAST_FILTER:
             raise ValueError("a row has no known filter")
         at += size * rows
-    return b"".join([_PNG, *kept])
+    return b"".join([PNG, *kept])

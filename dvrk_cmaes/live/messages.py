@@ -93,9 +93,9 @@ def read_pixels(where: str, fields: Mapping[str, Any], *, grey: bool = False) ->
         if (pixels.ndim == 2) == grey:
             return pixels
         return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY if grey else cv2.COLOR_GRAY2BGR), np.uint8)
-    file = stored_image(convert_document(where, fields, _CompressedImage).data, where)
+    data = stored_image(convert_document(where, fields, _CompressedImage).data, where)
     colours = cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR
-    return np.asarray(decode_image(where, file.data, "an image", colours | cv2.IMREAD_IGNORE_ORIENTATION), np.uint8)
+    return np.asarray(decode_image(where, data, "an image", colours | cv2.IMREAD_IGNORE_ORIENTATION), np.uint8)
 
 
 def read_joint_message(where: str, fields: Mapping[str, Any]) -> JointMessage:

@@ -28,9 +28,9 @@ from dvrk_cmaes.recording.topics import (
     IMAGES,
     NONE,
     SUFFIXES_2,
-    TopicRequest,
-    Topics,
-    choose_topics,
+    choose_camera,
+    choose_image,
+    choose_joints,
     ecm_topic,
     setup_topics,
 )
@@ -68,23 +68,20 @@ def open_bag(path: Path, asked: Asked) -> Iterator[Recording]:
 
 def _recording(reader: AnyReader, path: Path, asked: Asked) -> Recording:
     """Choose topics and time source, read camera and readings; the recording's ``notes`` state the choices."""
-    camera, joints, requested = asked.camera, asked.joints, asked.topics
-    arms, eye, option = asked.arms or ("",), asked.side, "--image-topic"
-    if asked.both and eye == "right":  # the readings are read with the left eye; the camera is that of the images
-        joints, arms, option, topic = None, ("",), "--image-topic-right", requested.image_topic_right
-        requested = replace(requested, image_topic=topic, camera_topic=None, joints_topic=NONE, jaw_topic=NONE)
+    option = "--image-topic"
+    if asked.both and asked.side == "right":  # the readings are read with the left eye
+        option, topic = "--image-topic-right", asked.image_topic_right
+        asked = replace(asked, arms=(), joints=None, image_topic=topic, camera_topic=None, joints_topic=NONE)
+    camera, joints = asked.camera, asked.joints
     types = {connection.topic: connection.msgtype for connection in reader.connections if connection.msgcount}
-    has_images = requested.image_topic is not None or any(kind in IMAGES for kind in types.values())
-    own = {"images": has_images, "camera": camera is None, "joints": joints is None}
+    has_images = asked.image_topic is not None or any(kind in IMAGES for kind in types.values())
+    image = choose_image(path, types, asked, asked.side, option) if has_images else None
+    info = choose_camera(path, types, asked, image) if image is not None and camera is None else None
     chosen = {
-        arm: choose_topics(path, types, requested, **own, arm=arm or None, eye=eye, option=option) for arm in arms
+        arm: choose_joints(path, types, asked, arm or None) if joints is None else [] for arm in asked.arms or ("",)
     }
-    topics = next(iter(chosen.values()))
-    read = {
-        arm: [_Readings.of(reader, path, name, arm or None) for name in (own.joints, own.jaw) if name is not None]
-        for arm, own in chosen.items()
-    }
-    if (ecm := ecm_topic(types, topics.joints)) is not None:
+    read = {arm: [_Readings.of(reader, path, name, arm or None) for name in own] for arm, own in chosen.items()}
+    if (ecm := ecm_topic(types, next(iter(next(iter(chosen.values()))), None))) is not None:
         of_ecm = _Readings.of(reader, path, ecm, None, of_ecm=True)
         read = {arm: [*own, of_ecm] for arm, own in read.items()}
     stamps = {own.topic: own.stamps for of_arm in read.values() for own in of_arm}
@@ -95,21 +92,22 @@ def _recording(reader: AnyReader, path: Path, asked: Asked) -> Recording:
     }
     notes: list[str] = [f"set-up joints: of {' '.join(setup)}, as {SETUP}"] if setup else []
     lens = b""
-    if topics.image is None:
+    if image is None:
         notes.append("images: none, readings only")
     else:
-        notes.append(f"images: {topics.image}")
-        if "_rect" in topics.image:
-            notes.append(f"{topics.image}: by their name these images are rectified: then say --rectified")
-        lens, changes = _camera(reader, path, topics) if camera is None else (read_camera_bytes(camera), "")
-        notes.append(f"camera: {camera or topics.camera}{changes}")
-        stamps |= {topics.image: [stamp(m) for _, m in islice(_messages(reader, path, topics.image), _JUDGED)]}
+        notes.append(f"images: {image}")
+        if "_rect" in image:
+            notes.append(f"{image}: by their name these images are rectified: then say --rectified")
+        lens, changes = (b"", "") if info is None else _camera(reader, path, info, image)
+        lens = lens if camera is None else read_camera_bytes(camera)
+        notes.append(f"camera: {camera or info}{changes}")
+        stamps |= {image: [stamp(m) for _, m in islice(_messages(reader, path, image), _JUDGED)]}
     faults = [f"{name} {fault}" for name, each in stamps.items() if (fault := _fault(each))]
-    if faults and not requested.recorded_times:
+    if faults and not asked.recorded_times:
         notes.append(f"times: those of recording, for the headers on {', and on '.join(faults)}")
     else:
-        notes.append(f"times: {'those of recording' if requested.recorded_times else 'those of the headers'}")
-    by_recording = requested.recorded_times or bool(faults)
+        notes.append(f"times: {'those of recording' if asked.recorded_times else 'those of the headers'}")
+    by_recording = asked.recorded_times or bool(faults)
     series = {arm: [own.series(recorded_times=by_recording) for own in of_arm] for arm, of_arm in read.items()}
     if joints is not None:
         series = {arm: [*own, *read_timed_joints(joints, arm or None)] for arm, own in series.items()}
@@ -119,23 +117,23 @@ def _recording(reader: AnyReader, path: Path, asked: Asked) -> Recording:
         notes += [f"{own.topic}: {note}" for own in read[arm] for note in own.notes]
         if of_arm and not any("jaw" in own.joints for own in of_arm):
             notes.append(f"{name}jaw: not read")
-    images = iter(()) if topics.image is None else _images(reader, path, topics.image, by_recording)
+    images = iter(()) if image is None else _images(reader, path, image, by_recording)
     return Recording(
         path,
         images,
-        sum(connection.msgcount for connection in reader.connections if connection.topic == topics.image),
+        sum(connection.msgcount for connection in reader.connections if connection.topic == image),
         lens,
         {arm if len(series) > 1 else "": tuple(own) for arm, own in series.items()},
         tuple(notes),
         kept={SETUP: setup_text(setup).encode()} if setup else {},
-        rectified=requested.rectified,
+        rectified=asked.rectified,
         has_images=has_images,
     )
 
 
 def read_bag_joints(path: Path, arm: str | None = None) -> JointFile:
     """Read the readings of an arm in a ROS recording as a file of readings with times; errors as `open_bag`."""
-    with open_bag(path, Asked(arms=() if arm is None else (arm,), topics=TopicRequest(image_topic=NONE))) as recording:
+    with open_bag(path, Asked(arms=() if arm is None else (arm,), image_topic=NONE)) as recording:
         rows = {
             f"message {k + 1} of {series.source}": JointRow(
                 f"{path}: {series.source}: message {k + 1}",
@@ -149,27 +147,20 @@ def read_bag_joints(path: Path, arm: str | None = None) -> JointFile:
     return JointFile.of(str(path), "ROS recording", rows, "message", recording.notes)
 
 
-@dataclass(frozen=True)
-class TopicSummary:
-    """A topic of a ROS recording: its name and type, the number of its messages, and these by second."""
+def list_topics(path: Path) -> tuple[float, dict[str, tuple[str, int, float]]]:
+    """Return the duration of a ROS recording, s, and by topic its type, the number of messages, and these by second.
 
-    name: str
-    kind: str
-    count: int
-    rate: float
-
-
-def list_topics(path: Path) -> tuple[float, list[TopicSummary]]:
-    """Return the duration of a ROS recording, s, and its topics by name; errors as `open_bag`."""
+    Errors are as of `open_bag`.
+    """
     with _open(path) as reader, _errors_as_input_errors(path):
         seconds = max(reader.end_time - reader.start_time, 0) / NANOSECONDS
         counts: Counter[tuple[str, str]] = Counter()
         for connection in reader.connections:
             counts[connection.topic, connection.msgtype.replace("/msg/", "/")] += connection.msgcount
-        topics = [
-            TopicSummary(name, kind, count, (count - 1) / seconds if count > 1 and seconds else 0.0)
+        topics = {
+            name: (kind, count, (count - 1) / seconds if count > 1 and seconds else 0.0)
             for (name, kind), count in sorted(counts.items())
-        ]
+        }
     return seconds, topics
 
 
@@ -252,19 +243,17 @@ def _messages(reader: AnyReader, path: Path, topic: str) -> Iterator[tuple[int, 
         yield time, reader.deserialize(data, connection.msgtype)
 
 
-def _camera(reader: AnyReader, path: Path, topics: Topics) -> tuple[bytes, str]:
-    """Return the camera file of the first CameraInfo message, and a note if later messages differ."""
-    assert topics.camera is not None
-    assert topics.image is not None
-    name = topics.image.strip("/").replace("/", "_")
+def _camera(reader: AnyReader, path: Path, topic: str, image: str) -> tuple[bytes, str]:
+    """Return the camera file of the first CameraInfo message of a topic, and a note if later messages differ."""
+    name = image.strip("/").replace("/", "_")
     first: bytes | None = None
     others = 0
-    for _, message in _messages(reader, path, topics.camera):
-        file = camera_file(message, name, f"{path}: {topics.camera}")
+    for _, message in _messages(reader, path, topic):
+        file = camera_file(message, name, f"{path}: {topic}")
         others += first not in (None, file)
         first = file if first is None else first
     if first is None:
-        raise InputError(f"{path}: {topics.camera}: expected a message, got none")
+        raise InputError(f"{path}: {topic}: expected a message, got none")
     return first, f" (the first: {others} later messages differ from it)" if others else ""
 
 

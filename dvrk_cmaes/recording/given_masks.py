@@ -54,8 +54,8 @@ def write_masks(given: Path, folder: Path, names: Sequence[str], numbers: Sequen
             while capture.grab():
                 if len(there) in wanted:
                     grey = np.asarray(capture.retrieve()[1]).max(axis=2)
-                    image = encode_png(np.where(grey > THRESHOLD, np.uint8(255), np.uint8(0)))
-                    write_bytes(folder / "masks" / f"{wanted[len(there)]}.png", image.data)
+                    mask = encode_png(np.where(grey > THRESHOLD, np.uint8(255), np.uint8(0)))
+                    write_bytes(folder / "masks" / f"{wanted[len(there)]}.png", mask)
                 there.append(f"{len(there)}")
         found = sum(number < len(there) for number in wanted)
     if not found:

@@ -71,8 +71,7 @@ def open_lerobot(path: Path, asked: Asked) -> Iterator[Recording]:
     times = [at[k] for k in rows]
     if not times or any(later <= before for before, later in pairwise(times)):
         raise InputError(f"{table}: timestamp: expected increasing times of episode {episode}, got others or none")
-    readings, _ = asked.given_readings()
-    said: tuple[str, ...] = (f"{asked.joints}",)
+    readings, said = asked.given_readings()
     if asked.joints is None:
         names, said = _fields(file, info, asked.arm)
         readings = (_readings(table, names, times, [columns[_STATE][k] for k in rows], said[0]),)
@@ -150,7 +149,7 @@ def _formatted(path: Path, file: Path, info: Mapping[str, Any], key: str, values
     return found
 
 
-def _fields(file: Path, info: Mapping[str, Any], arm: str | None) -> tuple[dict[str, int], tuple[str, ...]]:
+def _fields(file: Path, info: Mapping[str, Any], arm: str | None) -> tuple[dict[str, int], list[str]]:
     """Return the place in observation.state of each joint of an arm, and notes on what was taken and what not."""
     feature = info["features"].get(_STATE)
     names = feature.get("names") if isinstance(feature, Mapping) else None
@@ -178,7 +177,7 @@ def _fields(file: Path, info: Mapping[str, Any], arm: str | None) -> tuple[dict[
     taken = found[chosen]
     said = [f"{_STATE} ({chosen})" if chosen else _STATE, *(f"{j}: {names[k]}" for j, k in taken.items())]
     others = [*unknown, *(names[k] for own, joints in found.items() if own != chosen for k in joints.values())]
-    return taken, (*said, *([f"not taken: {listed(others, 40)}"] if others else []))
+    return taken, [*said, *([f"not taken: {listed(others, 40)}"] if others else [])]
 
 
 def _joint(name: str) -> tuple[str, str | None]:

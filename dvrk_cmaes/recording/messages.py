@@ -1,9 +1,9 @@
-"""Conversion of ROS messages of sensor_msgs to image files and joint readings, and of interlaced pictures to fields."""
+"""Conversion of ROS messages of sensor_msgs to image files and joint readings."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,27 +16,10 @@ from dvrk_cmaes.io.image_header import MOST_PIXELS, read_header
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.names import OUTER_JOINTS, accepted_names, joints_by_count, joints_of_arm
-from dvrk_cmaes.recording.recording import ImageFile
 
 _COMB = 15.0  # grey levels by which a pixel of a comb differs from both neighbours above and below
 _ALIKE = 8.0  # grey levels by which it differs at most from the next rows of its own field
 _LEAST_SHARE = 0.002  # of the picture, in combs
-
-
-def of_fields(picture: Image, first: Literal["top", "bottom"]) -> tuple[Image, Image]:
-    """Return both fields of a picture (H, W, 3) in the order of time, each in full height, its rows interpolated."""
-    height, width = picture.shape[:2]
-    fields = []
-    for parity in (0, 1):
-        rows = (np.arange(height, dtype=np.float32) - parity) / 2
-        columns = np.broadcast_to(np.arange(width, dtype=np.float32), (height, width))
-        at = np.broadcast_to(rows[:, None], (height, width))
-        own = cv2.remap(
-            picture[parity::2], columns.copy(), at.copy(), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        )
-        fields.append(np.asarray(own, np.uint8))
-    top, bottom = fields
-    return (top, bottom) if first == "top" else (bottom, top)
 
 
 def looks_interlaced(picture: Image) -> bool:
@@ -73,7 +56,7 @@ def stamp(message: Any) -> int:
     return int(message.header.stamp.sec) * NANOSECONDS + int(message.header.stamp.nanosec)
 
 
-def image_file(message: Any, where: str) -> ImageFile:
+def image_file(message: Any, where: str) -> bytes:
     """Convert an Image to a PNG file (lossless), or return the PNG or JPEG file of a CompressedImage unchanged.
 
     Raises
@@ -113,13 +96,12 @@ def image_pixels(message: Any, where: str) -> NDArray[np.uint8]:
     return np.ascontiguousarray(converted, np.uint8)
 
 
-def encode_png(pixels: NDArray[np.uint8]) -> ImageFile:
+def encode_png(pixels: NDArray[np.uint8]) -> bytes:
     """Encode pixels, (H, W) grey or (H, W, 3) BGR uint8, as PNG."""
-    _, data = cv2.imencode(".png", pixels)
-    return ImageFile(data.tobytes(), ".png", pixels.shape[1], pixels.shape[0])
+    return cv2.imencode(".png", pixels)[1].tobytes()
 
 
-def stored_image(data: bytes, where: str) -> ImageFile:
+def stored_image(data: bytes, where: str) -> bytes:
     """Return the bytes of a PNG or JPEG file as they are; InputError, which begins with ``where``, for others."""
     header = read_header(data)
     if header is None:
@@ -127,7 +109,7 @@ def stored_image(data: bytes, where: str) -> ImageFile:
     _check_size(header.width, header.height, where)
     if not header.whole:
         raise InputError(f"{where}: expected a whole PNG or JPEG, got one that is cut off or damaged")
-    return ImageFile(data, ".png" if data.startswith(b"\x89PNG") else ".jpg", header.width, header.height)
+    return data
 
 
 def _check_size(width: int, height: int, where: str) -> None:

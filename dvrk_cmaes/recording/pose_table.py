@@ -2,12 +2,11 @@
 
 A table of the arm's measured Cartesian poses is CSV: ``time`` (s), the position ``x``, ``y``, ``z`` (m), the unit
 quaternion ``qx``, ``qy``, ``qz``, ``qw``, and, if known, ``jaw`` (rad). Which frames the poses relate is not in such
-tables; `PoseTable` states it.
+tables; `read_pose_table` is told it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -32,9 +31,10 @@ _EXPECTED = "a table of poses (CSV with time, x, y, z, qx, qy, qz, qw)"
 _UNIT = 1e-3  # tolerance of a quaternion's length
 
 
-@dataclass(frozen=True, eq=False)
-class PoseTable:
-    """A table of poses and what they mean.
+def read_pose_table(
+    path: Path, point: PosePoint, reference_from_base: Float64, arm: Arm = "classic", tool: Tool | None = None
+) -> tuple[TimedReadings, ...]:
+    """Read a table of poses and find the joints, NaN for poses that are not reached.
 
     Parameters
     ----------
@@ -48,62 +48,49 @@ class PoseTable:
         The arm's kinematics.
     tool
         The tool's description; None for the Large Needle Driver 400006.
+
+    Raises
+    ------
+    InputError
+        The table is not valid, or no pose is reached; the message names the file and the line or the reason.
     """
+    header, rows = read_csv_rows(path, expected=_EXPECTED)
+    missing = [name for name in ("time", *_POSE) if name not in header]
+    if missing or not rows:
+        got = f"no {', '.join(missing)} in {listed(header)}" if missing else "a header only"
+        raise InputError(f"{path}: header: expected {_EXPECTED}, got {got}")
+    rows = sorted(rows, key=lambda row: parse_time(row[0], row[1]["time"]))  # in which roll is continued
+    times = [parse_time(where, cells["time"]) for where, cells in rows]
+    found, said = joints_of_poses(path, inverse(reference_from_base) @ _poses(rows), point, arm, tool)
+    series = [TimedReadings.of(f"{path} ({said})", POSED_JOINTS, times, found.tolist())]
+    if "jaw" in header:
+        jaw = [[number_in(where, "jaw", cells, "rad") if cells["jaw"] else np.nan] for where, cells in rows]
+        series.append(TimedReadings.of(str(path), ("jaw",), times, jaw))
+    return tuple(series)
 
-    path: Path
-    point: PosePoint
-    reference_from_base: Float64
-    arm: Arm = "classic"
-    tool: Tool | None = None
 
-    def __str__(self) -> str:
-        """Return the path."""
-        return str(self.path)
-
-    def read(self) -> tuple[TimedReadings, ...]:
-        """Read the table and find the joints, NaN for poses that are not reached.
-
-        Raises
-        ------
-        InputError
-            The table is not valid, or no pose is reached; the message names the file and the line or the reason.
-        """
-        header, rows = read_csv_rows(self.path, expected=_EXPECTED)
-        missing = [name for name in ("time", *_POSE) if name not in header]
-        if missing or not rows:
-            got = f"no {', '.join(missing)} in {listed(header)}" if missing else "a header only"
-            raise InputError(f"{self.path}: header: expected {_EXPECTED}, got {got}")
-        rows = sorted(rows, key=lambda row: parse_time(row[0], row[1]["time"]))  # in which roll is continued
-        times = [parse_time(where, cells["time"]) for where, cells in rows]
-        found, said = self._joints(_poses(rows))
-        series = [TimedReadings.of(f"{self.path} ({said})", POSED_JOINTS, times, found.tolist())]
-        if "jaw" in header:
-            jaw = [[number_in(where, "jaw", cells, "rad") if cells["jaw"] else np.nan] for where, cells in rows]
-            series.append(TimedReadings.of(str(self.path), ("jaw",), times, jaw))
-        return tuple(series)
-
-    def _joints(self, poses: Float64) -> tuple[Float64, str]:
-        """Find the joints (N, 6) of poses (N, 4, 4) in the table's reference frame, and say how."""
-        offset = np.array(TOOLTIP_OFFSET if self.tool is None else self.tool.tooltip_offset)
-        if self.point == "wrist-yaw":
-            offset[:3, 3] = 0.0
-        found = find_joints(
-            inverse(self.reference_from_base) @ poses,
-            self.arm,
-            roll_offset=ROLL_OFFSET if self.tool is None else self.tool.roll_offset,
-            wrist_length=WRIST_LENGTH if self.tool is None else self.tool.wrist_length,
-            tooltip_offset=offset,
-            limits=None if self.tool is None else self.tool.limits,
-        )
-        if all(found.reasons):
-            raise InputError(
-                f"{self.path}: expected poses that a {self.arm} arm reaches, got none, e.g. {found.reasons[0]}"
-            )
-        said = f"inverse kinematics of poses of the {self.point}, {self.arm} arm"
-        beyond = [reason for reason in found.reasons if reason]
-        if beyond:
-            said += f"; {len(beyond)} of {len(poses)} poses are not reached, e.g. {beyond[0]}"
-        return found.joints, said
+def joints_of_poses(
+    path: Path, poses: Float64, point: PosePoint = "tip", arm: Arm = "classic", tool: Tool | None = None
+) -> tuple[Float64, str]:
+    """Find the joints (N, 6) of poses (N, 4, 4) in the arm's base, and say how; arguments as of `read_pose_table`."""
+    offset = np.array(TOOLTIP_OFFSET if tool is None else tool.tooltip_offset)
+    if point == "wrist-yaw":
+        offset[:3, 3] = 0.0
+    found = find_joints(
+        poses,
+        arm,
+        roll_offset=ROLL_OFFSET if tool is None else tool.roll_offset,
+        wrist_length=WRIST_LENGTH if tool is None else tool.wrist_length,
+        tooltip_offset=offset,
+        limits=None if tool is None else tool.limits,
+    )
+    if all(found.reasons):
+        raise InputError(f"{path}: expected poses that a {arm} arm reaches, got none, e.g. {found.reasons[0]}")
+    said = f"inverse kinematics of poses of the {point}, {arm} arm"
+    beyond = [reason for reason in found.reasons if reason]
+    if beyond:
+        said += f"; {len(beyond)} of {len(poses)} poses are not reached, e.g. {beyond[0]}"
+    return found.joints, said
 
 
 def _poses(rows: Rows) -> Float64:
@@ -118,18 +105,20 @@ def _poses(rows: Rows) -> Float64:
     return transform(Rotation.from_quat(values[:, 3:]).as_matrix(), values[:, :3])
 
 
-def read_timed_joints(path: Path | PoseTable | JointFile, arm: str | None = None) -> tuple[TimedReadings, ...]:
+def read_timed_joints(
+    path: Path | JointFile | tuple[TimedReadings, ...], arm: str | None = None
+) -> tuple[TimedReadings, ...]:
     """Read a file of readings whose rows have times; joints with the same times are in one time series.
 
-    Of a table of poses, the joints are found by inverse kinematics. ``arm`` is the one of a file with those of several.
+    Those that were read already are returned as they are. ``arm`` is the one of a file with those of several.
 
     Raises
     ------
     InputError
         The file is not one of readings, or its rows have no times.
     """
-    if isinstance(path, PoseTable):
-        return path.read()
+    if isinstance(path, tuple):
+        return path
     file = path if isinstance(path, JointFile) else read_joint_file(path, read_as=ReadAs(arm))
     groups: dict[bytes, list[TimedReadings]] = {}
     for series in file.timed:

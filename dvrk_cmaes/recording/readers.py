@@ -28,29 +28,22 @@ class Reader(NamedTuple):
     takes: str
 
 
+_TOPICS: Final = "image_topic image_topic_right camera_topic joints_topic jaw_topic recorded_times rectified"
+
 READERS: Final = (
     Reader("a LeRobot data set", is_lerobot, open_lerobot, "arms episode"),
     Reader("a folder of SurgPose", is_surgpose, open_surgpose, "arms both"),
     Reader("an episode of SurgSync", is_packed, open_packed, "arms both"),
     Reader("a clip of SurgSync", is_surgsync, open_surgsync, "arms both"),
     Reader("stereo videos", has_stereo_videos, open_stereo_videos, "both start"),
-    Reader("a ROS recording", is_bag, open_bag, "arms both topics"),
+    Reader("a ROS recording", is_bag, open_bag, f"arms both {_TOPICS}"),
     Reader("a folder of pictures", Path.is_dir, open_pictures, "both layout crop"),
-    Reader("a video", lambda path: True, open_video, "both start layout crop first_field"),
+    Reader("a video", lambda path: True, open_video, "both start layout crop"),
 )
 """The first that knows a path opens it."""
 
-_OPTIONS: Final = {
-    "arms": "--arm",
-    "both": "--side both",
-    "start": "--video-start",
-    "layout": "--layout",
-    "crop": "--crop",
-    "first_field": "--interlaced",
-    "episode": "--episode",
-    "topics": "topics",
-}
-"""Fields of `Asked` that not every reader takes, and how they are asked for."""
+_OPTIONS: Final = {"arms": "--arm", "both": "--side both", "start": "--video-start"}
+"""How fields of `Asked` are asked for whose options have another name."""
 
 
 @contextmanager
@@ -65,8 +58,9 @@ def open_recording(path: Path, asked: Asked) -> Iterator[Recording]:
     reader = next(reader for reader in READERS if reader.knows(path))
     if reader.open is open_pictures and is_session_layout(path):
         raise InputError(f"{path}: expected a recording, got a session folder (masks or images): no import is needed")
-    for name, option in _OPTIONS.items():
+    for name in dict.fromkeys(" ".join(other.takes for other in READERS).split()):
         if getattr(asked, name) != getattr(Asked(), name) and name not in reader.takes.split():
+            option = _OPTIONS.get(name, f"--{name.replace('_', '-')}")
             able = " or ".join(other.name for other in READERS if name in other.takes.split())
             raise InputError(f"{path}: {option}: expected {able} with it, got {reader.name}")
     if len(asked.arms) > 1 and reader.open is not open_bag:

@@ -6,15 +6,13 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
 
 from dvrk_cmaes.camera.files import Side
 from dvrk_cmaes.frames.video_frames import Layout, Window
 from dvrk_cmaes.joints.interpolation import TimedReadings
 from dvrk_cmaes.joints.reading import read_joint_file
 from dvrk_cmaes.joints.rows import JointFile
-from dvrk_cmaes.recording.pose_table import PoseTable, read_timed_joints
-from dvrk_cmaes.recording.topics import AUTOMATIC, TopicRequest
+from dvrk_cmaes.recording.pose_table import read_timed_joints
 
 _DIGITS = 6  # number of digits of a frame's name
 _PLAIN = re.compile(r"[\w-][\w.-]*")  # a row's name that is also that of a file
@@ -38,31 +36,39 @@ class Asked:
     arms
         Names of the arms whose readings are read, e.g. PSM1; none for the only one. Several of a ROS recording alone.
     camera, joints
-        A camera file, and a file of readings by time.
+        A camera file, and a file of readings by time, or time series that were read already.
     start
         Time of a video's first image in that of the readings, s.
     layout, crop
         Of a video or a folder of pictures: where the eyes are in a picture, and its part that is used, as in
         `eye_window`.
-    first_field
-        The field that comes first in interlaced pictures, each of whose fields is an image.
     episode
         Number of the episode of a LeRobot data set.
-    topics
-        Topics of a ROS recording.
+    image_topic, image_topic_right, camera_topic, joints_topic, jaw_topic
+        Topics of a ROS recording; None to find one automatically, ``none`` to use none.
+    recorded_times
+        Use the times at which messages were recorded instead of those in their headers. This is also done, with a note,
+        if the headers of a topic have no times, or times that do not advance.
+    rectified
+        Whether the images of a ROS recording are rectified.
     """
 
     side: Side | None = None
     both: bool = False
     arms: tuple[str, ...] = ()
     camera: Path | None = None
-    joints: Path | PoseTable | JointFile | None = None
+    joints: Path | JointFile | tuple[TimedReadings, ...] | None = None
     start: float = 0.0
     layout: Layout | None = None
     crop: Window | None = None
-    first_field: Literal["top", "bottom"] | None = None
     episode: int = 0
-    topics: TopicRequest = AUTOMATIC
+    image_topic: str | None = None
+    image_topic_right: str | None = None
+    camera_topic: str | None = None
+    joints_topic: str | None = None
+    jaw_topic: str | None = None
+    recorded_times: bool = False
+    rectified: bool = False
 
     @property
     def eye(self) -> Side:
@@ -90,26 +96,16 @@ class Asked:
         return readings, [f"{' '.join(series.joints)}: {series.source}" for series in readings]
 
 
-@dataclass(frozen=True)
-class ImageFile:
-    """A PNG or JPEG file in memory: its bytes, its extension, and the image size in pixels."""
-
-    data: bytes
-    extension: str
-    width: int
-    height: int
-
-
 @dataclass(frozen=True, eq=False)
 class RecordedImage:
-    """An image of a recording: its number, from zero, its time, ns, and a function that loads it.
+    """An image of a recording: its number, from zero, its time, ns, and a function that loads it as a PNG or JPEG file.
 
     ``load`` must be called before the next image is requested. Images that are not loaded are not decoded.
     """
 
     number: int
     time: int
-    load: Callable[[], ImageFile]
+    load: Callable[[], bytes]
 
 
 @dataclass(frozen=True, eq=False)

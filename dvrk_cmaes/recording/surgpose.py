@@ -147,7 +147,7 @@ def open_surgpose(path: Path, asked: Asked) -> Iterator[Recording]:
         jaw, of_jaw = _jaw(path, chosen) if "jaw" not in readings[0].joints else ((), [])
         readings += jaw
     else:
-        (readings, _), source, of_jaw = asked.given_readings(), str(asked.joints), []
+        (readings, of_jaw), source = asked.given_readings(), ""
     if camera is None:
         lens, of_camera = read_stereo_ini(path / _CALIBRATION, side)
     else:
@@ -162,7 +162,7 @@ def open_surgpose(path: Path, asked: Asked) -> Iterator[Recording]:
             f"images: {_VIDEOS}/{video.name}, taken for raw ones",
             f"camera: {camera or _CALIBRATION}",
             *(f"camera: {note}" for note in of_camera),
-            *(f"{' '.join(series.joints)}: {source}" for series in readings if series.joints != ("jaw",)),
+            *(f"{' '.join(series.joints)}: {source}" for series in readings if source and series.joints != ("jaw",)),
             *of_jaw,
             f"times: frame N at N/{_RATE} s",
             *of_labels,

@@ -30,7 +30,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
@@ -50,7 +49,7 @@ from dvrk_cmaes.joints.times import parse_time
 from dvrk_cmaes.recording.camera import read_camera_bytes, with_pose
 from dvrk_cmaes.recording.messages import stored_image
 from dvrk_cmaes.recording.parquet_file import field_names, read_columns
-from dvrk_cmaes.recording.recording import Asked, ImageFile, RecordedImage, Recording
+from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording
 from dvrk_cmaes.recording.video import frames_at
 
 _TIMES = "the times of a frame (time_syn, JSON)"
@@ -59,17 +58,10 @@ _SECONDS = ("sec", "secs")
 _NANOSECONDS = ("nsec", "nanosec", "nsecs")
 
 
-@dataclass(frozen=True)
-class FrameTimes:
-    """Times of a frame's image and, where they are stated, of the readings of the arm and of its jaw, ns."""
+def read_times(path: Path, side: Side, arm: str | None) -> tuple[int, int, int]:
+    """Read ``time_syn/N.json``: the times of a camera's image, of an arm's readings, and of those of its jaw, ns.
 
-    image: int
-    arm: int | None = None
-    jaw: int | None = None
-
-
-def read_times(path: Path, side: Side, arm: str | None) -> FrameTimes:
-    """Read ``time_syn/N.json``, for one camera's image and one arm's readings.
+    Where the times of readings are not stated, they are those of the image.
 
     Raises
     ------
@@ -82,11 +74,8 @@ def read_times(path: Path, side: Side, arm: str | None) -> FrameTimes:
         raise InputError(f"{path}: image_{side}_stamp: expected the image's time (sec, nsec), got none")
     of_arm = None if arm is None else _field(document, arm)
     jaw = _field(of_arm, "jaw")
-    return FrameTimes(
-        image,
-        _time(str(path), of_arm, "measured_js_stamp", "measured_js"),
-        _time(str(path), jaw, "measured_stamp", "measured_js_stamp", "measured_js"),
-    )
+    taken = _time(str(path), of_arm, "measured_js_stamp", "measured_js") or image
+    return image, taken, _time(str(path), jaw, "measured_stamp", "measured_js_stamp", "measured_js") or taken
 
 
 def read_positions(path: Path, joints: tuple[str, ...] = ()) -> dict[str, float]:
@@ -167,6 +156,7 @@ _JAW: Final = "jaw.measured_position"
 _TOPICS: Final = {_JOINTS: "measured_js", _JAW: "jaw_measured"}
 """Topics whose times against the left image are those of a field."""
 _AGAINST: Final = "delta_to_master."
+_LEFT: Final = "image_left"
 _OLDEST, _LATEST = -(2**62), 2**62  # ns
 
 
@@ -185,18 +175,18 @@ def open_packed(path: Path, asked: Asked) -> Iterator[Recording]:
         episodes = sorted(found.parent.relative_to(path).as_posix() for found in path.glob(f"*/episodes/*/*/{_STAMPS}"))
         raise InputError(f"{path}: expected the folder of one episode, one of {listed(episodes) or 'none'}")
     video, rectified = _video(path, asked.eye, asked.camera)
-    times = _times(path, asked.eye)
+    images, taken = _times(path, asked.eye)
     lens, source = camera_of_clip(path / "calibration", asked)
     kind = "rectified" if rectified else "raw"
     notes = [f"images: {video.relative_to(path)} ({kind})", f"camera: {source}", f"times: {_TIME}"]
     readings, said = asked.given_readings()
     if asked.joints is None:
         arms = [file.stem for file in path.glob("*.parquet") if file.stem.startswith(("PSM", "ECM"))]
-        readings, said = _readings(path, chosen_arm(path, arms, asked.arm, "episode"), times)
+        readings, said = _readings(path, chosen_arm(path, arms, asked.arm, "episode"), images, taken)
     kept, of_kept = registrations(path / "calibration" / "hand_eye")
     with open_capture(video) as capture:
-        recorded = frames_at(video, capture, times.images, len(times.left), f", one for each row of {_STAMPS}")
-        yield Recording(path, recorded, len(times.images), lens, {"": readings}, (*notes, *said, *of_kept), kept)
+        recorded = frames_at(video, capture, images, len(taken[_LEFT]), f", one for each row of {_STAMPS}")
+        yield Recording(path, recorded, len(images), lens, {"": readings}, (*notes, *said, *of_kept), kept)
 
 
 def _video(path: Path, side: Side, camera: Path | None) -> tuple[Path, bool]:
@@ -214,25 +204,11 @@ def _video(path: Path, side: Side, camera: Path | None) -> tuple[Path, bool]:
     return rectified, True
 
 
-@dataclass(frozen=True)
-class _Times:
-    """Times of an episode, ns: ``images`` of an eye's images by row, ``left`` (N) of the left ones.
+def _times(path: Path, side: Side) -> tuple[dict[int, int], dict[str, list[int]]]:
+    """Read the times of an episode, ns: of an eye's images by row, without those that have none, and by topic.
 
-    ``against_left`` has times against those, by topic, None where a row has none.
+    A topic without a time in a row has that of the left image there.
     """
-
-    images: Mapping[int, int]
-    left: Sequence[int]
-    against_left: Mapping[str, Sequence[int | None]]
-
-    def of(self, topic: str) -> list[int]:
-        """Return the times (N) of a topic; those of the left images where none are stated."""
-        offs = self.against_left.get(topic, [None] * len(self.left))
-        return [time + (off or 0) for time, off in zip(self.left, offs, strict=True)]
-
-
-def _times(path: Path, side: Side) -> _Times:
-    """Read the times of an episode, of which an image of the right eye without one is left out."""
     table, meta = path / _STAMPS, path / _META
     start = 0
     if meta.is_file():
@@ -245,34 +221,34 @@ def _times(path: Path, side: Side) -> _Times:
     left = [start + _whole(table, _TIME, {_TIME: value}) for value in columns[_TIME]]
     if any(later <= before for before, later in pairwise(left)):
         raise InputError(f"{table}: {_TIME}: expected increasing times, got others")
-    against = {
-        name.removeprefix(_AGAINST).removesuffix("_ns"): [
-            None if off is None else _whole(table, name, {name: off}) for off in columns[name]
-        ]
-        for name in others
-    }
-    offs = against["image_right"] if side == "right" else [0] * len(left)
-    pairs = enumerate(zip(left, offs, strict=True))
-    return _Times({k: time + off for k, (time, off) in pairs if off is not None}, left, against)
+    taken = {_LEFT: left}
+    for name in others:
+        offs = (0 if off is None else _whole(table, name, {name: off}) for off in columns[name])
+        taken[name.removeprefix(_AGAINST).removesuffix("_ns")] = [t + off for t, off in zip(left, offs, strict=True)]
+    seen = taken["image_right" if side == "right" else _LEFT]
+    there = columns[of_right] if side == "right" else left
+    return {k: time for k, time in enumerate(seen) if there[k] is not None}, taken
 
 
-def _readings(path: Path, arm: str, times: _Times) -> tuple[tuple[TimedReadings, ...], list[str]]:
+def _readings(
+    path: Path, arm: str, images: Mapping[int, int], times: Mapping[str, list[int]]
+) -> tuple[tuple[TimedReadings, ...], list[str]]:
     """Read an arm's table: a series of its joints and one of its jaw at the times of the images, and notes."""
     table = path / f"{arm}.parquet"
     columns = read_columns(table, (_ROW, _JOINTS), (_JAW,))
-    if columns.pop(_ROW) != list(range(len(times.left))):
-        raise InputError(f"{table}: {_ROW}: expected the {len(times.left)} rows of {_STAMPS}, got others")
+    if columns.pop(_ROW) != list(range(len(times[_LEFT]))):
+        raise InputError(f"{table}: {_ROW}: expected the {len(times[_LEFT])} rows of {_STAMPS}, got others")
     taken, notes, rest = [], [], [name for name in field_names(table) if name not in (_ROW, _TIME, _JOINTS, _JAW)]
     for field, values in columns.items():
-        rows = {k: _row(f"{table}: row {k}: {field}", values[k]) for k in times.images if values[k] is not None}
+        rows = {k: _row(f"{table}: row {k}: {field}", values[k]) for k in images if values[k] is not None}
         if not rows:
             if field == _JOINTS:
                 raise InputError(f"{table}: {field}: expected readings of the images' frames, got none")
             rest.append(field)
             continue
         names = tuple(next(iter(rows.values())))
-        moments = times.of(f"{arm}.{_TOPICS[field]}")
-        taken.append(at_images(str(table), names, rows, times.images, {k: moments[k] for k in rows}))
+        moments = times.get(f"{arm}.{_TOPICS[field]}", times[_LEFT])
+        taken.append(at_images(str(table), names, rows, images, {k: moments[k] for k in rows}))
         notes.append(f"{' '.join(names)}: {arm}.parquet, {field}")
     return tuple(taken), [*notes, *([f"not taken: {listed(rest, 40)}"] if rest else [])]
 
@@ -339,19 +315,18 @@ def open_surgsync(path: Path, asked: Asked) -> Iterator[Recording]:
     readings, said = asked.given_readings()
     notes += said
     if chosen is not None:
-        of_images = {number: frame.image for number, frame in times.items()}
-        readings = _readings_of_clip(path / "kinematic" / chosen, of_images, times)
+        readings = _readings_of_clip(path / "kinematic" / chosen, times)
         notes += [f"{' '.join(series.joints)}: kinematic/{chosen}" for series in readings]
         if (folder := path / "kinematic" / ECM).is_dir() and chosen != ECM:
             try:
                 of_ecm = {number: read_times(path / "time_syn" / f"{number}.json", side, ECM) for number in images}
-                readings = (*readings, *_readings_of_clip(folder, of_images, of_ecm, ECM_JOINTS))
+                readings = (*readings, *_readings_of_clip(folder, of_ecm, ECM_JOINTS))
                 notes.append(f"{' '.join(ECM_JOINTS)}: kinematic/{ECM}")
             except InputError as error:
                 notes.append(f"the endoscope's arm is not read: {error}")
     kept, of_kept = registrations(path / REGISTRATIONS)
     recorded = (
-        RecordedImage(number, times[number].image, lambda file=file: _load(file))  # type: ignore[misc]
+        RecordedImage(number, times[number][0], lambda file=file: _load(file))  # type: ignore[misc]
         for number, file in images.items()
     )
     yield Recording(path, recorded, len(images), camera_bytes, {"": readings}, (*notes, *of_kept), kept)
@@ -392,7 +367,7 @@ def _images(path: Path, side: Side) -> dict[int, Path]:
     return dict(sorted(images.items()))
 
 
-def _load(file: Path) -> ImageFile:
+def _load(file: Path) -> bytes:
     """Read an image; its file is copied unchanged."""
     return stored_image(read_bytes(file, expected="an image (PNG or JPEG)", largest=_LARGEST), str(file))
 
@@ -409,14 +384,13 @@ def chosen_arm(path: Path, arms: Sequence[str], arm: str | None, what: str) -> s
 
 
 def _readings_of_clip(
-    folder: Path, images: Mapping[int, int], times: Mapping[int, FrameTimes], joints: tuple[str, ...] = ()
+    folder: Path, times: Mapping[int, tuple[int, int, int]], joints: tuple[str, ...] = ()
 ) -> tuple[TimedReadings, ...]:
     """Read the readings of an arm in all frames, at the images' times, ns: those of its joints and those of the jaw."""
-    rows = {number: read_positions(file, joints) for number in images if (file := folder / f"{number}.json").is_file()}
+    rows = {number: read_positions(file, joints) for number in times if (file := folder / f"{number}.json").is_file()}
     if not rows:
         raise InputError(f"{folder}: expected readings N.json of the images' numbers, got none")
-    of_arm = {number: times[number].arm or image for number, image in images.items()}
-    of_jaw = {number: times[number].jaw or moment for number, moment in of_arm.items()}
+    images, of_arm, of_jaw = ({number: own[k] for number, own in times.items()} for k in range(3))
     first = next(iter(rows.values()))
     parts = (tuple(name for name in first if name != "jaw"), of_arm), (tuple({"jaw"} & {*first}), of_jaw)
     return tuple(at_images(str(folder), joints, rows, images, taken) for joints, taken in parts if joints)

@@ -10,13 +10,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from dvrk_cmaes.camera.files import Side
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.frames.session_folder import is_session_layout
 from dvrk_cmaes.io.short_text import listed
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.recording.recording import Asked
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
@@ -47,51 +50,8 @@ def is_bag(path: Path) -> bool:
     return (path / "metadata.yaml").exists() or any(file.suffix in SUFFIXES_2 for file in path.iterdir())
 
 
-@dataclass(frozen=True)
-class TopicRequest:
-    """Topics given by name; None to find the topic automatically, ``none`` to use none.
-
-    ``recorded_times`` uses the times at which messages were recorded instead of those in their headers. This is also
-    done, with a note, if the headers of a topic have no times, or times that do not advance. ``rectified``: whether the
-    images are rectified.
-    """
-
-    image_topic: str | None = None
-    image_topic_right: str | None = None
-    camera_topic: str | None = None
-    joints_topic: str | None = None
-    jaw_topic: str | None = None
-    recorded_times: bool = False
-    rectified: bool = False
-
-
-AUTOMATIC = TopicRequest()
-"""All topics are found automatically."""
-
-
-@dataclass(frozen=True)
-class Topics:
-    """Topics to read; None for images, a camera, joints or a jaw that are not read from the recording."""
-
-    image: str | None
-    camera: str | None
-    joints: str | None
-    jaw: str | None
-
-
-def choose_topics(
-    path: Path,
-    types: Mapping[str, str],
-    requested: TopicRequest,
-    *,
-    images: bool = True,
-    camera: bool = True,
-    joints: bool = True,
-    arm: str | None = None,
-    eye: Side | None = None,
-    option: str = "--image-topic",
-) -> Topics:
-    """Choose the topics to read among those of a recording that have messages.
+def choose_image(path: Path, types: Mapping[str, str], asked: Asked, eye: Side | None, option: str) -> str | None:
+    """Choose the topic of the images among those of a recording that have messages, None for none of them.
 
     Parameters
     ----------
@@ -99,41 +59,40 @@ def choose_topics(
         The recording, for messages.
     types
         Message type of each topic, as named in ROS 2.
-    requested
-        The topics given by name.
-    images, camera, joints
-        Whether they are read from the recording.
-    arm
-        The arm, whose name is a part of those of its topics, or which is one of a topic with the joints of several.
+    asked
+        Has the topics that are given by name: None to find one automatically, ``none`` to use none.
     eye
         The eye of a stereo endoscope, a word in the name of its images' topic; None for one camera.
     option
-        That which names the topic of its images, for messages.
+        That which names the topic, for messages.
 
     Raises
     ------
     InputError
         A topic is missing or of another type, or none or several are suitable; the message lists the candidates.
     """
-    image, info = None, None
-    if images and requested.image_topic != NONE:
-        shown = [name for name, kind in types.items() if kind in IMAGES]
-        of_eye = None if eye is None else [name for name in shown if eye in re.split("[/_]", name.lower())]
-        what = "images" if eye is None else f"images of the {eye} eye"
-        image = _one(path, types, requested.image_topic, option, IMAGES, what, of_eye)
-    if camera and image is not None:
-        camera_info = camera_info_of(image)
-        requested_camera = requested.camera_topic or (camera_info if types.get(camera_info) == CAMERA_INFO else None)
-        info = _one(path, types, requested_camera, "--camera-topic", (CAMERA_INFO,), "the camera (or --camera FILE)")
-    if not joints or requested.joints_topic == NONE:
-        return Topics(image, info, None, None)
-    return Topics(image, info, *_joint_topics(path, types, requested, arm))
+    if asked.image_topic == NONE:
+        return None
+    shown = [name for name, kind in types.items() if kind in IMAGES]
+    of_eye = None if eye is None else [name for name in shown if eye in re.split("[/_]", name.lower())]
+    what = "images" if eye is None else f"images of the {eye} eye"
+    return _one(path, types, asked.image_topic, option, IMAGES, what, of_eye)
 
 
-def _joint_topics(
-    path: Path, types: Mapping[str, str], requested: TopicRequest, arm: str | None
-) -> tuple[str, str | None]:
-    """Choose the topics of an arm's joints and its jaw, None for a jaw that is not read; errors as `choose_topics`."""
+def choose_camera(path: Path, types: Mapping[str, str], asked: Asked, image: str) -> str:
+    """Choose the topic of the camera of images; arguments and errors as of `choose_image`."""
+    camera_info = camera_info_of(image)
+    requested = asked.camera_topic or (camera_info if types.get(camera_info) == CAMERA_INFO else None)
+    return _one(path, types, requested, "--camera-topic", (CAMERA_INFO,), "the camera (or --camera FILE)")
+
+
+def choose_joints(path: Path, types: Mapping[str, str], asked: Asked, arm: str | None) -> list[str]:
+    """Choose the topics of an arm's joints and, if it is read, of its jaw; arguments and errors as of `choose_image`.
+
+    ``arm``, of several, is a part of the names of its topics, or is one of a topic with the joints of all.
+    """
+    if asked.joints_topic == NONE:
+        return []
     states = [name for name, kind in types.items() if kind == JOINT_STATE]
     arms = [name for name in states if _ends(name, "measured_js", "state_joint_current") and not _is_jaw(name)]
     if arm is not None and len(arms) > 1:
@@ -142,11 +101,11 @@ def _joint_topics(
         arms = [name for name in arms if not _is_ecm(name)]
     together = [name for name in states if _ends(name, "joint_states")]
     what = f"the arm's joints (--arm, or {NONE})"
-    found = _one(path, types, requested.joints_topic, "--joints-topic", (JOINT_STATE,), what, arms or together)
+    found = _one(path, types, asked.joints_topic, "--joints-topic", (JOINT_STATE,), what, arms or together)
     jaws = [name for name in states if name in _jaws_of(found)]
-    if requested.jaw_topic == NONE or (requested.jaw_topic is None and not jaws):
-        return found, None
-    return found, _one(path, types, requested.jaw_topic, "--jaw-topic", (JOINT_STATE,), "the jaw", jaws)
+    if asked.jaw_topic == NONE or (asked.jaw_topic is None and not jaws):
+        return [found]
+    return [found, _one(path, types, asked.jaw_topic, "--jaw-topic", (JOINT_STATE,), "the jaw", jaws)]
 
 
 def ecm_topic(types: Mapping[str, str], chosen: str | None) -> str | None:

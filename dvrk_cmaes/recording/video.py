@@ -10,13 +10,12 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from itertools import count
+from itertools import count, takewhile
 from pathlib import Path
 from typing import Any, Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera.files import Side, read_camera_file
 from dvrk_cmaes.errors import InputError
@@ -27,8 +26,8 @@ from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.recording.camera import read_camera_bytes
-from dvrk_cmaes.recording.messages import encode_png, looks_interlaced, of_fields
-from dvrk_cmaes.recording.recording import Asked, ImageFile, RecordedImage, Recording
+from dvrk_cmaes.recording.messages import encode_png, looks_interlaced
+from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording
 
 _EXPECTED = "a video that OpenCV reads, or a ROS recording (.bag, .mcap, .db3 or a folder)"
 _RATE_TOLERANCE = 0.01
@@ -78,15 +77,12 @@ def open_video(path: Path, asked: Asked) -> Iterator[Recording]:
         ]
         if window != (0, 0, *size):
             notes.append(f"images: {window[2]} x {window[3]} px at {window[0]}, {window[1]} of the video")
-        if asked.first_field is not None:
-            notes.append(f"images: the fields of interlaced frames, {asked.first_field} first")
-        recorded = _images(path, capture, window, asked)
-        if asked.first_field is None and _is_interlaced(path):
-            notes.append("images: they look interlaced: --interlaced top or bottom makes an image of each field")
-        doubled = 1 if asked.first_field is None else 2
-        images_there = doubled * total if total > 0 else None
-        names = asked.row_names(doubled * total)
-        yield Recording(path, recorded, images_there, lens, {"": readings}, tuple(notes), names=names)
+        if _is_interlaced(path):
+            notes.append(
+                "images: they look interlaced: ffmpeg -i IN -vf bwdif=send_field OUT makes an image of each field"
+            )
+        recorded, there = _images(path, capture, window, asked), total if total > 0 else None
+        yield Recording(path, recorded, there, lens, {"": readings}, tuple(notes), names=asked.row_names(total))
 
 
 @contextmanager
@@ -147,27 +143,14 @@ def _videos(path: Path, side: Side) -> list[Path]:
 
 
 def _images(path: Path, capture: Any, window: Window, asked: Asked) -> Iterator[RecordedImage]:
-    """Yield the images of one eye; of interlaced frames, each field at its own time, half a frame apart."""
-    before, numbers, start = -1, count(), round(asked.start * NANOSECONDS)
-    half = round(NANOSECONDS / (float(capture.get(cv2.CAP_PROP_FPS)) or 30.0) / 2)
-    for number in count():
-        if not capture.grab():
-            return
+    """Yield the images of one eye."""
+    before, start = -1, round(asked.start * NANOSECONDS)
+    for number in takewhile(lambda _: capture.grab(), count()):
         time = round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
         if time <= before:
             raise InputError(f"{path}: frame {number}: expected a later time than {before / NANOSECONDS:g} s, got none")
         before = time
-        if asked.first_field is None:
-            load = partial(_of_eye, path, capture, number, window)
-            yield RecordedImage(next(numbers), start + time, load)
-            continue
-        for k, field in enumerate(of_fields(decoded_pixels(path, capture, number), asked.first_field)):
-            yield RecordedImage(next(numbers), start + time + k * half, partial(encode_png, eye_of(field, window)))
-
-
-def _of_eye(path: Path, capture: Any, number: int, window: Window) -> ImageFile:
-    """Decode the frame last grabbed from a capture, and encode an eye's part of it as PNG."""
-    return encode_png(eye_of(decoded_pixels(path, capture, number), window))
+        yield RecordedImage(number, start + time, partial(decoded_frame, path, capture, number, window))
 
 
 def _is_interlaced(path: Path) -> bool:
@@ -180,14 +163,6 @@ def _is_interlaced(path: Path) -> bool:
             if looks_interlaced(np.asarray(pixels, np.uint8)):
                 return True
     return False
-
-
-def decoded_pixels(path: Path, capture: Any, number: int) -> NDArray[np.uint8]:
-    """Decode the frame last grabbed from a capture, (H, W, 3) BGR; InputError if it cannot be decoded."""
-    decoded, pixels = capture.retrieve()
-    if not decoded:
-        raise InputError(f"{path}: frame {number}: expected an image, got one that cannot be decoded")
-    return np.asarray(pixels, np.uint8)
 
 
 def frames_at(
@@ -213,6 +188,13 @@ def check_rate(path: Path, capture: Any, rate: float, why: str) -> None:
         )
 
 
-def decoded_frame(path: Path, capture: Any, number: int) -> ImageFile:
-    """Decode the frame last grabbed from a capture and encode it as PNG; errors as `decoded_pixels`."""
-    return encode_png(decoded_pixels(path, capture, number))
+def decoded_frame(path: Path, capture: Any, number: int, window: Window | None = None) -> bytes:
+    """Decode the frame last grabbed from a capture, or its part that is one eye's, and encode it as PNG.
+
+    InputError if it cannot be decoded.
+    """
+    decoded, pixels = capture.retrieve()
+    if not decoded:
+        raise InputError(f"{path}: frame {number}: expected an image, got one that cannot be decoded")
+    picture = np.asarray(pixels, np.uint8)
+    return encode_png(picture if window is None else eye_of(picture, window))

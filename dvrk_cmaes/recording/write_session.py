@@ -25,6 +25,7 @@ from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry,
 from dvrk_cmaes.io.atomic import write_text
 from dvrk_cmaes.io.csv_file import csv_text
 from dvrk_cmaes.io.encode import Document
+from dvrk_cmaes.io.image_header import PNG, read_header
 from dvrk_cmaes.io.output import whole_folder, write_bytes
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, known_where, weighted_mean
@@ -35,26 +36,6 @@ from dvrk_cmaes.recording.recording import RecordedImage, Recording
 
 _FARTHEST = NANOSECONDS // 100  # ns, between the images of a pair: less than half of the time between images
 _ARM = re.compile(r"(?<![A-Za-z0-9])PSM[1-3](?![A-Za-z0-9])")
-
-
-@dataclass(frozen=True)
-class ImageSelection:
-    """Selection of images: every Nth of those between two times, in seconds after the first image."""
-
-    every: int = 1
-    start: float = 0.0
-    end: float = math.inf
-
-    def of(self, images: Iterator[RecordedImage]) -> Iterator[RecordedImage]:
-        """Yield the selected images, beginning with the first one in the interval."""
-        first: int | None = None
-        in_interval = 0
-        for image in images:
-            first = image.time if first is None else first
-            if self.start <= (image.time - first) / NANOSECONDS <= self.end:
-                if in_interval % self.every == 0:
-                    yield image
-                in_interval += 1
 
 
 @dataclass(frozen=True)
@@ -98,8 +79,10 @@ def write_session(
     recording: Recording,
     out: Path,
     *,
-    selection: ImageSelection,
-    tolerance: float,
+    every: int = 1,
+    start: float = 0.0,
+    end: float = math.inf,
+    tolerance: float = 0.05,
     lag: Lag | None = None,
     overwrite: bool = False,
     masks: Path | None = None,
@@ -112,8 +95,8 @@ def write_session(
         An open recording whose images have not been iterated yet.
     out
         The session folder; unless ``overwrite`` is given, it must be empty or not exist.
-    selection
-        The images to write.
+    every, start, end
+        Every Nth of the images between two times, in seconds after the first image, is written.
     tolerance
         Largest distance in time between an image and the readings before and after it, s.
     lag
@@ -144,7 +127,7 @@ def write_session(
             write_bytes(folder / name, data)
         if recording.has_images:
             images = (image for image, _ in zip(recording.images, numbers, strict=False))
-            of, times, size, apart = _write_images(folder / "images", recording, selection.of(images))
+            of, times, size, apart = _write_images(folder / "images", recording, _selected(images, every, start, end))
             names = [recording.name(number) for number in of]
             said += [] if masks is None else [write_masks(masks, folder, names, of)]
             warnings = _check_times(recording.path, names, times)
@@ -179,6 +162,18 @@ def write_session(
         away = f"images at most {1e3 * max(apart) / NANOSECONDS:.1f} ms after or before those of the left"
         notes = (*notes, f"right eye: {len(apart)} of {len(names)} frames, {away}")
     return ImportSummary(out, next(numbers), len(names), size, tolerance, tuple(summaries), notes, seconds, warnings)
+
+
+def _selected(images: Iterator[RecordedImage], every: int, start: float, end: float) -> Iterator[RecordedImage]:
+    """Yield every Nth of the images between two times, s after the first image, beginning with the first of these."""
+    first: int | None = None
+    in_interval = 0
+    for image in images:
+        first = image.time if first is None else first
+        if start <= (image.time - first) / NANOSECONDS <= end:
+            if in_interval % every == 0:
+                yield image
+            in_interval += 1
 
 
 def _seconds_text(time: int) -> str:
@@ -271,14 +266,16 @@ def _paired(
 
 def _write_image(path: Path, image: RecordedImage, folder: Path, name: str, sizes: dict[Path, tuple[int, int]]) -> None:
     """Write an image to a folder; InputError if it is of another size than those before, which ``sizes`` have."""
-    file = image.load()
-    width, height = sizes.setdefault(folder, (file.width, file.height))
-    if (file.width, file.height) != (width, height):
+    data = image.load()
+    header = read_header(data)
+    assert header is not None
+    width, height = sizes.setdefault(folder, (header.width, header.height))
+    if (header.width, header.height) != (width, height):
         raise InputError(
             f"{path}: image {image.number}: expected the first image's size {width} x {height}, "
-            f"got {file.width} x {file.height}"
+            f"got {header.width} x {header.height}"
         )
-    write_bytes(folder / f"{name}{file.extension}", file.data)
+    write_bytes(folder / f"{name}{'.png' if data.startswith(PNG) else '.jpg'}", data)
 
 
 def _interpolate(

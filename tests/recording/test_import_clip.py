@@ -132,7 +132,7 @@ def test_wrong_clips_are_refused(refused: Refused, tmp_path: Path) -> None:
         f"{clip}/image/left/1.png: expected a PNG or JPEG, got something else or a damaged file"
     )
     said = refused(clip, "--arm", "PSM1", "--image-topic", "/left")
-    assert said == f"{clip}: topics: expected a ROS recording with it, got a clip of SurgSync"
+    assert said == f"{clip}: --image-topic: expected a ROS recording with it, got a clip of SurgSync"
 
 
 @pytest.mark.parametrize(
