@@ -10,7 +10,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.camera.document import read_fields, unwrapped
@@ -139,3 +139,36 @@ def _storage_xml(where: str, root: ElementTree.Element) -> dict[str, Any]:
         else:
             document[element.tag] = (element.text or "").strip()
     return document
+
+
+USUAL: Final = 1.5
+"""Focal length in image widths: endoscopes of da Vinci systems have 1.4 to 1.6, see the page `uncalibrated`."""
+
+_LEAST_FOCAL, _LARGEST_FOCAL = 0.3, 6.0  # image widths
+
+
+def guessed_camera(size: Size, focal: float | None = None) -> CameraFile:
+    """Return a guess of a camera of which there is no file: the middle of the image, and no lens distortion.
+
+    Parameters
+    ----------
+    size
+        Width and height of the images, px.
+    focal
+        The focal length, px; by default that which is usual.
+
+    Raises
+    ------
+    InputError
+        The focal length is far from what cameras have.
+    """
+    width, height = size
+    focal = USUAL * width if focal is None else focal
+    if not _LEAST_FOCAL * width <= focal <= _LARGEST_FOCAL * width:
+        raise InputError(
+            f"--focal: expected a focal length of {_LEAST_FOCAL * width:g} to {_LARGEST_FOCAL * width:g} px, "
+            f"{_LEAST_FOCAL:g} to {_LARGEST_FOCAL:g} widths of the images, got {focal:g}"
+        )
+    camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+    kind = f"none; a guess with a focal length of {focal:g} px and no lens distortion"
+    return CameraFile(Rig.of_camera(camera), kind)

@@ -117,6 +117,7 @@ class FrameOptions:
         from dvrk_cmaes.frames.frame import FrameFiles
         from dvrk_cmaes.frames.keypoints import parse_keypoints
         from dvrk_cmaes.frames.label import parse_label
+        from dvrk_cmaes.frames.picture_fit import parse_crop
         from dvrk_cmaes.joints.interpolation import NANOSECONDS
         from dvrk_cmaes.joints.times import parse_time, time_in_name
 
@@ -126,7 +127,8 @@ class FrameOptions:
         pick = None if self.pick is None else parse_pixel("pick", self.pick)
         name = self.named.stem if self.frame is None else self.frame
         found = time_in_name(self.named.stem) if self.time is None else parse_time("--time", self.time)
-        moment, crop = None if found is None else found / NANOSECONDS, camera.fit.crop
+        moment = None if found is None else found / NANOSECONDS
+        crop = None if camera.crop is None else parse_crop("--crop", camera.crop)
         files = FrameFiles(name, self.mask, {}, self.image, self.ignore, tips, label, pick, moment, crop=crop)
         if self.mask_right is None and self.image_right is None:
             return files

@@ -17,10 +17,8 @@ from dvrk_cmaes.io.short_text import is_number, shown
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.camera.files import CameraFile
-    from dvrk_cmaes.camera.guess import CameraGuess
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.frames.frame import FrameFiles
-    from dvrk_cmaes.frames.picture_fit import PictureFit
     from dvrk_cmaes.frames.session_toml import ToolEntry
     from dvrk_cmaes.joints.rows import JointFile, ReadAs
     from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
@@ -99,18 +97,12 @@ class FrameCameraOptions(CameraOptions):
     crop: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     stretch: Flag = False
 
-    @property
-    def fit(self) -> PictureFit:
-        """How the pictures fit the camera; InputError if the crop is none."""
-        from dvrk_cmaes.frames.picture_fit import PictureFit, parse_crop
-
-        return PictureFit(None if self.crop is None else parse_crop("--crop", self.crop), self.stretch)
-
     def read(self, frame: FrameFiles) -> CameraFile:
         """Read the camera of a frame, or those of both eyes; the frame has the size where no file states it."""
         from dvrk_cmaes.camera.files import read_camera_file
         from dvrk_cmaes.camera.rig_files import read_rig
         from dvrk_cmaes.frames.frame import frame_size
+        from dvrk_cmaes.frames.picture_fit import fitted
         from dvrk_cmaes.frames.session_folder import UNCALIBRATED
 
         if self.camera is None:
@@ -120,7 +112,7 @@ class FrameCameraOptions(CameraOptions):
             lens = read_rig(self.camera, self.camera_right, **read_as)
         else:
             lens = read_camera_file(self.camera, side=self.side, **read_as)
-        return self.fit.lens(lens, frame)
+        return fitted(lens, frame, stretch=self.stretch)
 
 
 @Parameter(name="*", group=CAMERA)
@@ -138,13 +130,11 @@ class GuessedCameraOptions(CameraOptions):
     focal: float | None = None
 
     @property
-    def guess(self) -> CameraGuess | None:
-        """The camera to use where there is no file; InputError if there is one, too."""
-        from dvrk_cmaes.camera.guess import CameraGuess
-
+    def guess(self) -> float | Literal["usual"] | None:
+        """The focal length to use where there is no file, as of `read_session`; InputError if there is one, too."""
         if self.focal is not None and self.camera is not None:
             raise InputError("--focal: expected either this or --camera, got both")
-        return CameraGuess(self.focal) if self.camera is None else None
+        return ("usual" if self.focal is None else self.focal) if self.camera is None else None
 
 
 @Parameter(name="*", group=READINGS)

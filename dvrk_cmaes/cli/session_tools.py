@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from dvrk_cmaes.cli.options import TWIN, ReadingOptions, joint_files, load_tool
 from dvrk_cmaes.cli.terminal import Line, answer, note, show, warn
@@ -15,9 +15,8 @@ from dvrk_cmaes.io.short_text import no_folder
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
-    from dvrk_cmaes.camera.guess import CameraGuess
     from dvrk_cmaes.cli.options import CameraOptions, InstrumentOptions
-    from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
+    from dvrk_cmaes.frames.session_toml import ToolEntry
     from dvrk_cmaes.frames.video_frames import Video
     from dvrk_cmaes.geometry import Float64
     from dvrk_cmaes.results.result import Result
@@ -32,7 +31,7 @@ def read_arms(
     *,
     single: bool = False,
     check: Callable[[Collection[str]], None] = lambda arms: None,
-    guess: CameraGuess | None = None,
+    guess: float | Literal["usual"] | None = None,
     joints: Sequence[Path] | None = (),
     reading: ReadingOptions = ReadingOptions(),
     video: Video | None = None,
@@ -54,52 +53,39 @@ def read_arms(
     InputError
         An arm that the session does not name, or several for a command that works on one; as `read_session`.
     """
-    from dvrk_cmaes.frames.session_toml import CameraEntry, ToolEntry, read_session_toml
+    from dvrk_cmaes.frames.session_toml import SESSION_FILE, ToolEntry, read_session_toml
 
     entries = read_session_toml(folder)
-    named = () if entries is None else entries.tools
-    if only and not named:
+    if only and not entries.tools:
         raise InputError(f"--only: expected a session.toml that names arms in {folder}, got none")
-    chosen = [entries.tool(arm) for arm in only] if entries is not None and only else named or (ToolEntry(""),)
-    if single and len(chosen) > 1 and entries is not None:
-        raise InputError(f"{entries.path}: tool: expected one, got {', '.join(tool.arm for tool in chosen)}")
+    chosen = [entries.tool(arm) for arm in only] or entries.tools or (ToolEntry(""),)
+    if single and len(chosen) > 1:
+        raise InputError(f"{folder / SESSION_FILE}: tool: expected one, got {', '.join(tool.arm for tool in chosen)}")
     check([tool.arm for tool in chosen])
-    said = CameraEntry() if entries is None or camera.camera is not None else entries.camera
+    labels = folder / "labels"
+    asked: dict[str, Any] = {
+        "camera": camera.camera,
+        "rectified": camera.rectified,
+        "side": camera.side,
+        "video": video,
+        "focal": guess,
+        "masks": labels if labelled and labels.is_dir() and not (folder / "masks").exists() else None,
+    }
     found = {}
     for tool in chosen:
         arm = tool.arm or None
-        labels = folder / ("labels" if labelled or tool.label is not None else "masks")
-        files = None if joints is None else joint_files(joints, arm)
-        asked: dict[str, Any] = {
-            "camera": camera.camera or said.file or said.left,
-            "camera_right": said.right,
-            "rectified": camera.rectified or said.rectified,
-            "side": camera.side,
-            "joints": files if files is None else files or (() if tool.joints is None else (tool.joints,)),
-            "read_as": reading.read_as(arm, tool.columns),
-            "fit": said.fit,
-            "masks": tool.masks or (labels if labels.is_dir() and not (folder / "masks").exists() else None),
-            "video": video,
-            "guess": guess,
-        }
-        of_arm = _read_arm(folder, instrument, tool, entries, asked, ahead=ahead)
-        found[tool.arm if len(named) > 1 else ""] = of_arm
+        asked["joints"] = None if joints is None else joint_files(joints, arm)
+        asked["read_as"] = reading.read_as(arm)
+        found[tool.arm if len(entries.tools) > 1 else ""] = _read_arm(folder, instrument, tool, asked, ahead=ahead)
     return found
 
 
 def _read_arm(
-    folder: Path,
-    instrument: InstrumentOptions,
-    tool: ToolEntry,
-    entries: SessionEntries | None,
-    asked: dict[str, Any],
-    *,
-    ahead: bool,
+    folder: Path, instrument: InstrumentOptions, tool: ToolEntry, asked: dict[str, Any], *, ahead: bool
 ) -> ArmInSession:
     """Load the instrument of an arm, and read the session with its own masks and readings."""
     from dvrk_cmaes.frames.overlays import OVERLAID, with_overlaid
     from dvrk_cmaes.frames.session_folder import COUNTS_DIFFER, NO_READINGS, read_session
-    from dvrk_cmaes.frames.tool_frames import frames_of_tool
     from dvrk_cmaes.runs.agreement import ArmInSession
 
     given, own = instrument.instrument, tool.instrument
@@ -108,9 +94,7 @@ def _read_arm(
             warn(f"{tool.arm}: session.toml names {own}, but --instrument {given} is used")
         tool = replace(tool, instrument=given, packages={}, root_link=None, tool=None)
     body = load_tool(tool)
-    session = read_session(folder, known=body.instrument.joint_names, **asked)
-    if entries is not None and entries.tools:
-        session = frames_of_tool(session, entries, tool.arm)
+    session = read_session(folder, arm=tool.arm or None, known=body.instrument.joint_names, **asked)
     session = with_overlaid(session) if ahead else session
     if asked["joints"] is not None and NO_READINGS in session.notes:
         note(f"{folder}: no joints.csv, as with --joints none: {TWIN}")

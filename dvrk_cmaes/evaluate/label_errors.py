@@ -125,13 +125,9 @@ def read_labels(session: Path, points: Path | None) -> Labels:
 
 def _camera(session: Path) -> Camera:
     """Read the camera of a session, the left one of two."""
-    entries = read_session_toml(session)
-    rectified = entries is not None and entries.camera.rectified
-    stated = None if entries is None else entries.camera.left or entries.camera.file
-    left = session / "left.yaml"
-    return read_camera(
-        stated or (left if os.path.lexists(left) else session / "camera.yaml"), rectified=rectified, side="left"
-    )
+    said, left = read_session_toml(session).camera, session / "left.yaml"
+    usual = left if os.path.lexists(left) else session / "camera.yaml"
+    return read_camera(said.left or said.file or usual, rectified=said.rectified, side="left")
 
 
 def label_errors(compared: ComparedSet, labels: Labels, instrument: Instrument) -> LabelErrors:

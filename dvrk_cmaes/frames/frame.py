@@ -38,19 +38,6 @@ _LARGEST = 400_000_000  # bytes
 _BESIDE = 2  # px beside another tool, where its outline and this one's cannot be distinguished
 
 
-@dataclass(frozen=True)
-class OtherTool:
-    """The mask of another tool in a frame, or its ``label`` in a mask of labels, and the pixel that picks it there.
-
-    Its pixels count neither way, as long as it is not known to be ``behind`` this tool: then they are background.
-    """
-
-    mask: Path
-    label: Label | None = None
-    arm: str = ""
-    pick: tuple[float, float] | None = None
-
-
 @dataclass(frozen=True, eq=False)
 class FrameFiles:
     """Paths of the files of a frame, and its readings.
@@ -60,8 +47,8 @@ class FrameFiles:
     instrument in the mask, as in ``read_mask``. ``prompts`` state where the instrument is in an image without a mask.
     ``time`` is that of the image, s, if it is known. ``notes`` state how camera and readings were chosen; ``problem``
     states why this frame cannot be used, None if it can. ``others`` are the files of the further views of a rig, by
-    name; ``other_tools`` are other tools in the frame. ``video`` is the frame's image where that is in a video, and
-    there is no ``image``. ``start`` is an earlier result of the frame, which is refined instead of a search. ``crop``
+    name; ``other_tools`` are those of other tools in the frame, whose pixels count neither way. ``video`` is the
+    frame's image where that is in a video, and there is no ``image``. ``start`` is an earlier result of the frame, which is refined instead of a search. ``crop``
     is the part of the pictures that is used, left, top, width and height, px; ``pick``, ``keypoints`` and ``prompts``
     are in pixels of the whole pictures. ``overlaid`` is a PNG of pixels of the whole pictures that are over all images
     of the session, as a robot's messages, and do not count. ``unread``: a ``problem`` that is only that no reading
@@ -81,7 +68,7 @@ class FrameFiles:
     notes: tuple[str, ...] = ()
     problem: str | None = None
     others: Mapping[str, FrameFiles] = field(default_factory=dict)
-    other_tools: tuple[OtherTool, ...] = ()
+    other_tools: tuple[FrameFiles, ...] = ()
     video: VideoFrame | None = None
     start: Result | None = None
     crop: Window | None = None
@@ -344,9 +331,8 @@ def _ignored(files: FrameFiles, shape: tuple[int, ...], what: str) -> Bool | Non
         over = _cropped_like(files, np.asarray(cv2.imdecode(np.frombuffer(files.overlaid, np.uint8), 0)) > 0, shape)
         ignore = over if ignore is None else ignore | over
     for tool in files.other_tools:
-        there = _cropped(
-            files, read_mask(tool.mask, label=tool.label, pick=tool.pick, blank=True, name=files.name), tool.mask
-        )
+        assert tool.mask is not None
+        there = mask_of(replace(tool, crop=files.crop), tool.mask, blank=True)
         if there.shape != shape[:2]:
             raise InputError(f"{tool.mask}: expected the {what}'s size {_size(shape)}, got {_size(there.shape)}")
         ignore = with_tool(ignore, there)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.fields import Size
@@ -14,55 +14,45 @@ from dvrk_cmaes.io.short_text import shown
 _SAME_ASPECT = 0.005
 
 
-@dataclass(frozen=True)
-class PictureFit:
-    """How pictures fit a camera file.
+def fitted(lens: CameraFile, frame: FrameFiles, *, stretch: bool = False) -> CameraFile:
+    """Return a camera or a rig for the pictures of a frame, or their crop, and notes on what was done.
+
+    A camera of the size of the whole pictures, or of their aspect if the part has another, is cropped, too.
 
     Parameters
     ----------
-    crop
-        Left, top, width and height, px, of the part of the files' pictures that is used; None for all.
+    lens
+        The camera or the rig of the camera file.
+    frame
+        The files of a frame; its ``crop`` is the part of the files' pictures that is used.
     stretch
         Whether the camera is scaled to the pictures' size, also where that has another aspect.
+
+    Raises
+    ------
+    InputError
+        The part is not inside the frame's picture.
     """
-
-    crop: Window | None = None
-    stretch: bool = False
-
-    def lens(self, lens: CameraFile, frame: FrameFiles) -> CameraFile:
-        """Return a camera or a rig for the pictures of a frame, which has the same crop, and notes on what was done.
-
-        A camera of the size of the whole pictures, or of their aspect if the part has another, is cropped, too.
-
-        Raises
-        ------
-        InputError
-            The part is not inside the frame's picture.
-        """
-        if self == WHOLE:
-            return lens
-        whole, part = frame_size(replace(frame, crop=None)), frame_size(frame)
-        notes: list[str] = []
-        cameras = {view.name: self._camera(view.camera, whole, part, notes) for view in lens.rig.views}
-        return replace(lens, rig=lens.rig.with_cameras(cameras), notes=(*lens.notes, *dict.fromkeys(notes)))
-
-    def _camera(self, camera: Camera, whole: Size, part: Size, notes: list[str]) -> Camera:
-        """Return the camera of the part of pictures."""
-        if self.crop is not None and _is_of(camera, whole, part):
-            scale = camera.width / whole[0], camera.height / whole[1]
-            left, top, width, height = (round(value * scale[k % 2]) for k, value in enumerate(self.crop))
-            camera = camera.cropped(left, top, width, height)
-            notes.append(f"the principal point is moved by {-left:+d}, {-top:+d} px, to the part of the images")
-        if not self.stretch or (camera.width, camera.height) == part:
-            return camera
-        sx, sy = part[0] / camera.width, part[1] / camera.height
-        notes.append(f"intrinsics scaled unevenly, by {sx:.4g} across and {sy:.4g} down")
-        cx, cy = (camera.cx + 0.5) * sx - 0.5, (camera.cy + 0.5) * sy - 0.5
-        return replace(camera, width=part[0], height=part[1], fx=camera.fx * sx, fy=camera.fy * sy, cx=cx, cy=cy)
+    if frame.crop is None and not stretch:
+        return lens
+    whole, part = frame_size(replace(frame, crop=None)), frame_size(frame)
+    notes: list[str] = []
+    cameras = {view.name: _camera(view.camera, frame.crop, whole, part, notes, stretch) for view in lens.rig.views}
+    return replace(lens, rig=lens.rig.with_cameras(cameras), notes=(*lens.notes, *dict.fromkeys(notes)))
 
 
-WHOLE = PictureFit()
-"""Of pictures that fit the camera file as they are."""
+def _camera(camera: Camera, crop: Window | None, whole: Size, part: Size, notes: list[str], stretch: bool) -> Camera:
+    """Return the camera of the part of pictures."""
+    if crop is not None and _is_of(camera, whole, part):
+        scale = camera.width / whole[0], camera.height / whole[1]
+        left, top, width, height = (round(value * scale[k % 2]) for k, value in enumerate(crop))
+        camera = camera.cropped(left, top, width, height)
+        notes.append(f"the principal point is moved by {-left:+d}, {-top:+d} px, to the part of the images")
+    if not stretch or (camera.width, camera.height) == part:
+        return camera
+    sx, sy = part[0] / camera.width, part[1] / camera.height
+    notes.append(f"intrinsics scaled unevenly, by {sx:.4g} across and {sy:.4g} down")
+    return camera.scaled(*part)
 
 
 def _is_of(camera: Camera, whole: Size, part: Size) -> bool:

@@ -23,18 +23,19 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 from dvrk_cmaes.camera import Camera, Rig
-from dvrk_cmaes.camera.files import CameraFile, Side, read_camera_file
-from dvrk_cmaes.camera.guess import CameraGuess
+from dvrk_cmaes.camera.files import Side, guessed_camera, read_camera_file
 from dvrk_cmaes.camera.rig_files import read_rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.coco_mask import FILES, ROBOFLOW, frames_of
 from dvrk_cmaes.frames.frame import FrameFiles, frame_size
 from dvrk_cmaes.frames.keypoints import FramePrompts, read_boxes, read_keypoints
 from dvrk_cmaes.frames.own_files import check_own
-from dvrk_cmaes.frames.picture_fit import WHOLE, PictureFit
+from dvrk_cmaes.frames.picture_fit import fitted
 from dvrk_cmaes.frames.published_layout import find_published_frames, is_published_layout
+from dvrk_cmaes.frames.session_toml import CameraEntry, ToolEntry, read_session_toml
 from dvrk_cmaes.frames.truth import SessionTruth, read_golden
 from dvrk_cmaes.frames.video_frames import Video, VideoFrame
 from dvrk_cmaes.io.arguments import PATH, check_type
@@ -157,6 +158,7 @@ class Session:
 def read_session(
     folder: str | Path,
     *,
+    arm: str | None = None,
     camera: Path | None = None,
     camera_right: Path | None = None,
     rectified: bool = False,
@@ -164,20 +166,22 @@ def read_session(
     known: Iterable[str] = (),
     joints: Sequence[Path | JointFile] | None = (),
     read_as: ReadAs = BY_THEMSELVES,
-    fit: PictureFit = WHOLE,
     masks: Path | None = None,
     video: Video | None = None,
-    guess: CameraGuess | None = None,
+    focal: float | Literal["usual"] | None = None,
 ) -> Session:
     """Find the frames of a session folder and read its files, except masks and images.
 
     Every file in ``masks`` or ``images`` is a frame. A frame without a row in joints.csv has no readings. An error in a
-    frame's readings is recorded as its ``problem``.
+    frame's readings is recorded as its ``problem``. What session.toml says counts where no argument says otherwise.
 
     Parameters
     ----------
     folder
         The session folder, of either layout.
+    arm
+        An arm that session.toml names: the frames then have its masks and readings, and the other tools' pixels do not
+        count. By default the only one; of several, frames are read as if there were no tools.
     camera
         The camera file; the session's camera.yaml by default. Of a stereo session, the file of both eyes or of the
         left one; left.yaml and right.yaml by default, or camera.yaml if that has both eyes.
@@ -194,46 +198,76 @@ def read_session(
         none. None: no readings are used.
     read_as
         How files of readings are read that do not say it.
-    fit
-        How the pictures fit the camera file.
     masks
         Folder of the masks; ``masks`` in the session folder by default.
     video
         A video that has the images of all frames, of the session layout and one view.
-    guess
-        The camera to use where there is no file, or in any case if it has a focal length; by default there must be a
-        file.
+    focal
+        The focal length, px, of a camera without a file, or ``usual``: it is guessed where there is no file. By default
+        there must be a file.
 
     Raises
     ------
     InputError
         A file is missing or not valid (the message names it), there are no frames, two files have one frame's name, or
-        no frame can be used. A link leads out of the folder.
+        no frame can be used. A link leads out of the folder. session.toml does not name the arm.
     """
     check_type("folder", folder, PATH, "the path of a session folder")
     root = Path(folder)
     if not root.is_dir():
         raise InputError(f"{folder}: {no_folder(folder)}; expected a session with camera.yaml, joints.csv and masks")
-    mask_folder = root / "masks" if masks is None else masks
+    entries = read_session_toml(root)
+    single = entries.tools[0] if len(entries.tools) == 1 else ToolEntry("")
+    tool = single if arm is None else entries.tool(arm)
+    said = entries.camera if camera is None else CameraEntry(file=camera)
+    masks = masks or tool.masks
+    if masks is None and tool.label is not None and (root / "labels").is_dir() and not (root / "masks").exists():
+        masks = root / "labels"
+    read_as = replace(read_as, arm=read_as.arm or tool.arm or None, columns=read_as.columns or tool.columns)
+    joints = joints if joints is None or joints or tool.joints is None else (tool.joints,)
+    mask_folder = masks or root / "masks"
     if masks is not None or video is not None or is_session_layout(root) or not is_published_layout(root):
         frames, readings, times, notes = _session_frames(root, mask_folder, tuple(known), joints, read_as, video)
         notes = ("a session folder", *notes)
     else:
         frames, readings, times = find_published_frames(root), (), {}
         notes = ("frames in the published layout, a folder each",)
-    if fit.crop is not None:
-        frames = tuple(frame.changed(crop=fit.crop) for frame in frames)
-    stereo = _is_stereo(root, mask_folder)
-    lens, guessed = _read_cameras(root, frames[0], camera, camera_right, rectified, side, guess, stereo=stereo)
+    if said.crop is not None:
+        frames = tuple(frame.changed(crop=said.crop) for frame in frames)
+    stereo, guessed = _is_stereo(root, mask_folder), False
+    path, right = said.file or said.left or _camera_file(root), camera_right or said.right
+    stated = said.file is not None or said.left is not None
     if stereo:
+        if focal not in (None, "usual"):
+            raise InputError(
+                f"{root}: expected the camera files of both eyes (--camera FILE), which are not guessed, got none"
+            )
+        if not stated and right is None and os.path.lexists(root / "left.yaml"):
+            path, right = root / "left.yaml", root / "right.yaml"
+        check_own(root, (path, right))
+        first = frames[0] if frames[0].mask or frames[0].image else frames[0].others[_VIEWS[1]]
+        lens = read_rig(path, right, rectified=rectified or said.rectified, size=lambda: frame_size(first))
         notes = ("a session folder of two views", *notes[1:])
-    elif video is not None and (film := frames[0].video) is not None:
+    elif right is not None:
+        raise InputError(
+            f"{root}: expected a stereo session (masks/left) with a right camera, got one of a single view"
+        )
+    elif focal is not None and (focal != "usual" or not (stated or os.path.lexists(path))):
+        lens, guessed = guessed_camera(frame_size(frames[0]), None if focal == "usual" else focal), True
+    else:
+        check_own(root, [path])
+        if not (stated or os.path.lexists(path)):
+            raise InputError(f"{path}: no such file; expected a camera file (--camera FILE); {UNCALIBRATED}")
+        lens = read_camera_file(
+            path, rectified=rectified or said.rectified, side=side, size=lambda: frame_size(frames[0])
+        )
+    if not stereo and video is not None and (film := frames[0].video) is not None:
         window = film.video.window(lens.camera, None, side)
         frames = tuple(replace(own, video=own.video and replace(own.video, window=window)) for own in frames)
-    lens = fit.lens(lens, frames[0])
+    lens = fitted(lens, frames[0], stretch=said.stretch)
     golden = root / "golden.json"
     check_own(root, [golden])
-    return Session(
+    session = Session(
         folder=root,
         rig=lens.rig,
         frames=tuple(replace(frame, notes=(*lens.notes, *frame.notes)) for frame in frames),
@@ -243,42 +277,41 @@ def read_session(
         image_times=times,
         guessed=guessed,
     )
+    return session if tool.arm == "" else _of_tool(session, tool, [own for own in entries.tools if own is not tool])
 
 
-def _read_cameras(
-    root: Path,
-    frame: FrameFiles,
-    camera: Path | None,
-    right: Path | None,
-    rectified: bool,
-    side: Side,
-    guess: CameraGuess | None,
-    *,
-    stereo: bool,
-) -> tuple[CameraFile, bool]:
-    """Read the camera files of a session with a first frame, of one view or two; also returns whether it is a guess."""
-    path = camera or _camera_file(root)
-    missing = camera is None and not os.path.lexists(path)
-    if stereo:
-        if guess is not None and guess.focal_px is not None:
-            raise InputError(
-                f"{root}: expected the camera files of both eyes (--camera FILE), which are not guessed, got none"
-            )
-        if camera is None and right is None and os.path.lexists(root / "left.yaml"):
-            path, right = root / "left.yaml", root / "right.yaml"
-        check_own(root, (path, right))
-        first = frame if frame.mask or frame.image else frame.others[_VIEWS[1]]
-        return read_rig(path, right, rectified=rectified, size=lambda: frame_size(first)), False
-    if right is not None:
-        raise InputError(
-            f"{root}: expected a stereo session (masks/left) with a right camera, got one of a single view"
-        )
-    if guess is not None and (guess.focal_px is not None or missing):
-        return guess.file(frame_size(frame)), True
-    check_own(root, [path])
-    if missing:
-        raise InputError(f"{path}: no such file; expected a camera file (--camera FILE); {UNCALIBRATED}")
-    return read_camera_file(path, rectified=rectified, side=side, size=lambda: frame_size(frame)), False
+def _of_tool(session: Session, tool: ToolEntry, others: Sequence[ToolEntry]) -> Session:
+    """Return a session with the masks of one tool only; the other tools' pixels do not count.
+
+    ``session`` was read with the tool's own folder of masks, if it has one. Another tool may be before or behind this
+    one, so its pixels have no information on it, neither as instrument nor as background.
+
+    Raises
+    ------
+    InputError
+        The folder of masks of another tool has none, or one is a link that leaves the session.
+    """
+    masks = {
+        (other.arm, view): image_files(other.masks / view)
+        for other in others
+        if other.masks is not None
+        for view in session.view_names
+    }
+    check_own(session.folder, (path for of_view in masks.values() for path in of_view.values()))
+    for other in others:
+        if other.masks is not None and not any(masks[other.arm, view] for view in session.view_names):
+            raise InputError(f"{other.masks}: expected masks (PNG or JPEG) of {other.arm}, got none")
+
+    def of_view(files: FrameFiles, view: str) -> FrameFiles:
+        """Return the files of one view of a frame for the tool, with those of its further views."""
+        own = ((other, masks[other.arm, view].get(files.name) if other.masks else files.mask) for other in others)
+        hiding = [
+            FrameFiles(files.name, mask, label=other.label, pick=other.pick) for other, mask in own if mask is not None
+        ]
+        more = {name: of_view(each, name) for name, each in files.others.items()}
+        return replace(files, label=tool.label, pick=tool.pick, other_tools=tuple(hiding), others=more)
+
+    return replace(session, frames=tuple(of_view(files, session.view_names[0]) for files in session.frames))
 
 
 def _camera_file(root: Path) -> Path:

@@ -28,11 +28,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal, TypeVar
 
+from msgspec import Struct
+
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.frames.frame import Window
 from dvrk_cmaes.frames.label import Label, parse_label
 from dvrk_cmaes.frames.own_files import check_own
-from dvrk_cmaes.frames.picture_fit import PictureFit, parse_crop
+from dvrk_cmaes.frames.picture_fit import parse_crop
 from dvrk_cmaes.io.toml_file import read_toml
 from dvrk_cmaes.io.typed_document import convert_document
 from dvrk_cmaes.results.paths import check_frame_name
@@ -46,7 +48,7 @@ Entry = TypeVar("Entry", "CameraEntry", "ToolEntry")
 class CameraEntry:
     """Camera files of a session: ``file`` of one camera or both eyes, or ``left`` and ``right``.
 
-    ``crop`` and ``stretch``: how the pictures fit them, as in `PictureFit`.
+    ``crop`` and ``stretch``: how the pictures fit them, as of `picture_fit.fitted`.
     """
 
     file: Path | None = None
@@ -55,11 +57,6 @@ class CameraEntry:
     rectified: bool = False
     crop: Window | None = None
     stretch: bool = False
-
-    @property
-    def fit(self) -> PictureFit:
-        """How the pictures fit the camera files."""
-        return PictureFit(self.crop, self.stretch)
 
 
 @dataclass(frozen=True)
@@ -83,13 +80,11 @@ class ToolEntry:
     columns: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class SessionEntries:
-    """The content of session.toml: its path, camera and tools."""
+class SessionEntries(Struct, frozen=True, rename={"tools": "tool"}):
+    """The content of session.toml: the camera and the tools; neither is there without such a file."""
 
-    path: Path
-    camera: CameraEntry
-    tools: tuple[ToolEntry, ...]
+    camera: CameraEntry = CameraEntry()
+    tools: tuple[ToolEntry, ...] = ()
 
     def tool(self, arm: str) -> ToolEntry:
         """Return the tool of an arm; InputError, which lists the arms, if there is none."""
@@ -97,17 +92,11 @@ class SessionEntries:
             if tool.arm == arm:
                 return tool
         known = ", ".join(nearest_first(arm, [tool.arm for tool in self.tools])) or "none"
-        raise InputError(f"{self.path}: arm: expected one of {known}, got {arm!r}")
+        raise InputError(f"{SESSION_FILE}: arm: expected one of {known}, got {arm!r}")
 
 
-@dataclass(frozen=True)
-class _Document:
-    camera: CameraEntry = CameraEntry()
-    tool: tuple[ToolEntry, ...] = ()
-
-
-def read_session_toml(folder: str | Path) -> SessionEntries | None:
-    """Read the session.toml of a folder; None if there is none.
+def read_session_toml(folder: str | Path) -> SessionEntries:
+    """Read the session.toml of a folder; there are no entries without one.
 
     Raises
     ------
@@ -119,22 +108,19 @@ def read_session_toml(folder: str | Path) -> SessionEntries | None:
     root = Path(folder)
     path = root / SESSION_FILE
     if not os.path.lexists(path):
-        return None
+        return SessionEntries()
     check_own(root, [path])
     document = read_toml(path, expected="a session's description (TOML)")
     tables = document.get("tool")
     tools: list[object] = tables if isinstance(tables, list) else []
-    for prefix, table, kind in [
-        ("", document, _Document),
-        ("camera.", document.get("camera"), CameraEntry),
-        *(("tool.", tool, ToolEntry) for tool in tools),
-    ]:
-        _check_keys(f"{path}: unknown key {prefix}", table, [field.name for field in fields(kind)])
+    _check_keys(f"{path}: unknown key ", document, ["camera", "tool"])
+    _check_keys(f"{path}: unknown key camera.", document.get("camera"), [field.name for field in fields(CameraEntry)])
     for tool in tools:
+        _check_keys(f"{path}: unknown key tool.", tool, [field.name for field in fields(ToolEntry)])
         if isinstance(tool, dict) and "label" in tool:
             tool["label"] = parse_label(f"{path}: tool.label", tool["label"])
-    read = convert_document(str(path), document, _Document, _EXPECTED)
-    entries = SessionEntries(path, _within(root, read.camera), tuple(_within(root, tool) for tool in read.tool))
+    read = convert_document(str(path), document, SessionEntries, _EXPECTED)
+    entries = SessionEntries(_within(root, read.camera), tuple(_within(root, tool) for tool in read.tools))
     if entries.camera.crop is not None:
         parse_crop(f"{path}: camera.crop", entries.camera.crop)
     _check_tools(path, entries.tools)

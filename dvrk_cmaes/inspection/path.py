@@ -11,7 +11,7 @@ import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -31,8 +31,7 @@ from dvrk_cmaes.frames.keypoints import read_boxes, read_keypoints
 from dvrk_cmaes.frames.markers import read_detections
 from dvrk_cmaes.frames.published_layout import is_published_layout
 from dvrk_cmaes.frames.session_folder import Session, read_session
-from dvrk_cmaes.frames.session_toml import CameraEntry, ToolEntry, read_session_toml
-from dvrk_cmaes.frames.tool_frames import frames_of_tool
+from dvrk_cmaes.frames.session_toml import ToolEntry, read_session_toml
 from dvrk_cmaes.frames.truth import read_golden
 from dvrk_cmaes.frames.video_frames import Video
 from dvrk_cmaes.instrument.dvrk_description import is_arm, is_description, read_kinematics, read_tool
@@ -495,25 +494,20 @@ def _inspect_pictures(path: Path, pictures: Sequence[Path]) -> Finding:
 
 def _inspect_session(path: Path, options: Options) -> Finding:
     """Describe a session folder; of several arms, what each of them sees and reads."""
-    entries = read_session_toml(path)
-    tools = (ToolEntry(""),) if entries is None or not entries.tools else entries.tools
-    said = CameraEntry() if entries is None or options.camera is not None else entries.camera
     findings: dict[str, Finding] = {}
+    tools = read_session_toml(path).tools or (ToolEntry(""),)
     for tool in tools:
         session = read_session(
             path,
-            camera=options.camera or said.file or said.left,
-            camera_right=said.right,
-            rectified=options.rectified or said.rectified,
+            arm=tool.arm or None,
+            camera=options.camera,
+            rectified=options.rectified,
             side=options.side,
-            joints=() if tool.joints is None else (tool.joints,),
-            read_as=replace(options.read_as, arm=tool.arm or None, columns=options.read_as.columns or tool.columns),
-            fit=said.fit,
-            masks=tool.masks,
+            read_as=options.read_as,
         )
-        if entries is None or len(tools) < 2:
+        if len(tools) == 1:
             return _of_arm(session)
-        findings[tool.arm] = _of_arm(frames_of_tool(session, entries, tool.arm))
+        findings[tool.arm] = _of_arm(session)
     lines = tuple(f"{arm}: {line}" for arm, finding in findings.items() for line in finding.lines)
     read = {"arms": {arm: finding.read for arm, finding in findings.items()}}
     notes = dict.fromkeys(note for finding in findings.values() for note in finding.notes)

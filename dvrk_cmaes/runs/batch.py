@@ -266,7 +266,7 @@ def _with_absolute_paths(files: FrameFiles, folder: Path) -> FrameFiles:
     notes = tuple(relative_text(folder, note) for note in files.notes)
     problem = None if files.problem is None else relative_text(folder, files.problem)
     others = {name: _with_absolute_paths(other, folder) for name, other in files.others.items()}
-    tools = tuple(replace(tool, mask=Path(os.path.abspath(tool.mask))) for tool in files.other_tools)
+    tools = tuple(_with_absolute_paths(tool, folder) for tool in files.other_tools)
     return replace(
         files, mask=mask, image=image, ignore=ignore, notes=notes, problem=problem, others=others, other_tools=tools
     )

@@ -52,7 +52,7 @@ def frame_stamps(files: FrameFiles) -> dict[str, str]:
     for view, other in files.others.items():
         stamps |= {f"{view} {name}": _stamp(path) for name in _FILES if (path := getattr(other, name)) is not None}
     for number, tool in enumerate(files.other_tools):
-        stamps[f"other tool {number}"] = f"{_stamp(tool.mask)} {tool.label or ''}"
+        stamps[f"other tool {number}"] = f"{tool.mask and _stamp(tool.mask)} {tool.label or ''}"
     if (film := files.video) is not None:
         stamps["video"] = f"{_stamp(film.video.path)} {film.number} {film.window}"
     prompts = files.prompts if files.mask is None else None

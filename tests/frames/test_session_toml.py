@@ -11,9 +11,7 @@ import pytest
 from helpers.batch_sessions import make_session
 
 from dvrk_cmaes import InputError, read_frame, read_session
-from dvrk_cmaes.frames.frame import OtherTool
 from dvrk_cmaes.frames.session_toml import CameraEntry, SessionEntries, ToolEntry, read_session_toml, session_toml
-from dvrk_cmaes.frames.tool_frames import frames_of_tool
 
 TWO_TOOLS = """
 [camera]
@@ -36,12 +34,11 @@ def described(folder: Path, text: str) -> SessionEntries:
     """Write a session.toml and read it."""
     (folder / "session.toml").write_text(text, encoding="utf-8")
     entries = read_session_toml(folder)
-    assert entries is not None
     return entries
 
 
 def test_session_without_the_file_has_no_entries(tmp_path: Path) -> None:
-    assert read_session_toml(tmp_path) is None
+    assert read_session_toml(tmp_path) == SessionEntries()
 
 
 def test_paths_are_relative_to_the_session(tmp_path: Path) -> None:
@@ -106,10 +103,10 @@ def write_labels(folder: Path, *places: slice) -> np.ndarray:
 def test_each_tool_has_its_label_and_ignores_the_other(tmp_path: Path) -> None:
     folder = make_session(tmp_path / "session", ["0000"])
     labels = write_labels(folder, slice(20, 60), slice(60, 110))
-    entries = described(folder, TWO_TOOLS)
-    session = read_session(folder)
+    described(folder, TWO_TOOLS)
     for arm, label in (("PSM1", 1), ("PSM2", 2)):
-        (files,) = frames_of_tool(session, entries, arm).frames
+        session = read_session(folder, arm=arm)
+        (files,) = session.frames
         data = read_frame(files, session.camera)
         np.testing.assert_array_equal(data.mask, labels == label)
         assert data.ignore is not None
@@ -123,9 +120,9 @@ def test_tools_with_folders_of_masks_ignore_each_other(tmp_path: Path) -> None:
     (folder / "other").mkdir()
     (folder / "masks" / "0001.png").rename(folder / "other" / "0000.png")
     text = '[[tool]]\narm = "PSM1"\nmasks = "masks"\n[[tool]]\narm = "PSM2"\nmasks = "other"\n'
-    entries = described(folder, text)
-    first = frames_of_tool(read_session(folder), entries, "PSM1")
-    assert first.frames[0].other_tools == (OtherTool(folder / "other" / "0000.png", arm="PSM2"),)
-    second = frames_of_tool(read_session(folder, masks=folder / "other"), entries, "PSM2")
+    described(folder, text)
+    first = read_session(folder, arm="PSM1")
+    assert [tool.mask for tool in first.frames[0].other_tools] == [folder / "other" / "0000.png"]
+    second = read_session(folder, arm="PSM2")
     assert second.frames[0].mask == folder / "other" / "0000.png"
-    assert second.frames[0].other_tools == (OtherTool(folder / "masks" / "0000.png", arm="PSM1"),)
+    assert [tool.mask for tool in second.frames[0].other_tools] == [folder / "masks" / "0000.png"]

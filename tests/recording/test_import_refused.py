@@ -244,7 +244,7 @@ def test_other_files_are_refused(refused: Refused, tmp_path: Path) -> None:
     assert refused("text.mp4", *beside).endswith("got something else or a damaged file")
     assert refused("/dev/zero", *beside).endswith("got something that is not a regular file")
     assert refused("text.mp4", *beside, "--image-topic", "/a") == (
-        "text.mp4: topics: expected a ROS recording with it, got a video"
+        "text.mp4: --image-topic: expected a ROS recording with it, got a video"
     )
 
 

@@ -162,7 +162,6 @@ def test_command_writes_session_and_prints_plan(tmp_path: Path, capsys: pytest.C
     assert main(line) == 0
     assert capsys.readouterr().out == f"1 frames, level easy, motion rcm, seed 3; written: {out}\n"
     entries = read_session_toml(out)
-    assert entries is not None
     assert [(tool.arm, tool.instrument, tool.kinematics) for tool in entries.tools] == [("PSM1", "lnd", "classic")]
     document = json.loads((out / "synth.json").read_text())
     assert (document["level"]["wrist_deg"], document["seed"], document["instrument"]) == (2.0, 3, "lnd")

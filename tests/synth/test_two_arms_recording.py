@@ -15,8 +15,7 @@ from helpers.moving_worlds import SMALL
 from dvrk_cmaes import Body, Renderer, Session, read_frame, read_session
 from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.frames.images import read_image
-from dvrk_cmaes.frames.session_toml import ToolEntry, read_session_toml
-from dvrk_cmaes.frames.tool_frames import frames_of_tool
+from dvrk_cmaes.frames.session_toml import ToolEntry
 from dvrk_cmaes.frames.truth import SessionTruth, read_golden
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.recording import write_recording
@@ -44,11 +43,7 @@ def folder(plan: SessionPlan, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def session_of(folder: Path, arm: str) -> Session:
-    entries = read_session_toml(folder)
-    assert entries is not None
-    joints = entries.tool(arm).joints
-    assert joints is not None
-    return frames_of_tool(read_session(folder, joints=(joints,)), entries, arm)
+    return read_session(folder, arm=arm)
 
 
 def truths_of(folder: Path, body: Body) -> list[list[Truth]]:
