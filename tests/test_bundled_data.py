@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from helpers.files import read_mask
 from helpers.places import SCRIPTS, bundled_path
+from helpers.readings import read_joints
 from numpy.typing import NDArray
 
 from dvrk_cmaes import Body, Camera, Renderer, load_instrument, read_camera
 from dvrk_cmaes.frames.images import read_ignore
 from dvrk_cmaes.instrument.arm import base_from_root
 from dvrk_cmaes.joints.names import OUTER_JOINTS, WRIST_JOINTS
-from dvrk_cmaes.joints.reading import read_joints
 
 DEMO = bundled_path("demo")
 GOLDEN = bundled_path("golden")

@@ -14,6 +14,7 @@ import pytest
 from helpers.canned_results import canned
 from helpers.commands import Ran, run_command
 from helpers.places import bundled_path
+from helpers.readings import read_joints
 
 from dvrk_cmaes import EstimateConfig, FrameData, InputError, ReadingSeries, SessionFrame, load_instrument, read_session
 from dvrk_cmaes.calibration.lag import SessionLag
@@ -24,7 +25,7 @@ from dvrk_cmaes.camera.rig_files import read_rig
 from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.images import read_mask
 from dvrk_cmaes.frames.truth import read_golden
-from dvrk_cmaes.joints.reading import read_joint_file, read_joints
+from dvrk_cmaes.joints.reading import read_joint_file
 from dvrk_cmaes.joints.rows import ReadAs
 
 Run = Callable[..., Ran]

@@ -106,7 +106,6 @@ class BatchOptions:
 
     def with_masks(self, arm: ArmInSession, prompts: PromptOptions) -> ArmInSession:
         """Return an arm's session with the label of the instrument in the masks, and prompts where there is no mask."""
-        from dvrk_cmaes.frames.keypoints import FramePrompts
         from dvrk_cmaes.frames.label import parse_label
 
         session = arm.session
@@ -117,8 +116,7 @@ class BatchOptions:
             pick = parse_pixel("pick", self.pick)
             session = replace(session, frames=tuple(replace(files, pick=pick) for files in session.frames))
         if prompts != PromptOptions():
-            hints = prompts.resolve()
-            session = session.with_prompts(FramePrompts(hints.box, tuple(hints.points), tuple(hints.not_points)))
+            session = session.with_prompts(prompts.resolve())
         return replace(arm, session=session)
 
 

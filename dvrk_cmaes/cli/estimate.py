@@ -137,11 +137,11 @@ class FrameOptions:
 
     def readings(self, known: Sequence[str], lag: Lag | None, read_as: ReadAs) -> FrameReadings:
         """Read the readings of the frame; empty without ``--joints``, or with none."""
-        from dvrk_cmaes.joints.reading import FrameReadings, is_written_out, read_frame_joints
+        from dvrk_cmaes.joints.reading import is_written_out, read_frame_joints
         from dvrk_cmaes.joints.times import parse_time
 
         if self.joints in ((), (NO_READINGS,)) or self.named is None:
-            return FrameReadings()
+            return {}, (), None
         texts = [text for text in self.joints if is_written_out(text)]
         files = joint_files([Path(text) for text in self.joints if text not in texts], read_as.arm) or ()
         moment = None if self.time is None else parse_time("--time", self.time)
@@ -234,9 +234,9 @@ def estimate(
         note(f"no --joints, as with --joints none: {TWIN}")
     known = calibrated.read(body, instrument.arm)
     lag = None if known is None else known.applied_lag
-    read = given.readings(body.instrument.joint_names, lag, reading.read_as(given.only))
-    files = replace(files, readings=read.readings)
-    data = replace(data, notes=(*camera_file.notes, *read.notes, *data.notes))
+    readings, notes, _ = given.readings(body.instrument.joint_names, lag, reading.read_as(given.only))
+    files = replace(files, readings=readings)
+    data = replace(data, notes=(*camera_file.notes, *notes, *data.notes))
     shown = hints_within(prompts.resolve(), files.crop)
     solved_as = FrameMethod(instrument.kinematics, settings, known, model.resolve(), shown)
     result, written = run_frame(files, data, body, solved_as, out)

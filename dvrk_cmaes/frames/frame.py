@@ -20,7 +20,7 @@ from dvrk_cmaes.camera.fields import Size
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.field_of_view import IGNORED, outside_view
 from dvrk_cmaes.frames.images import match_size, read_ignore, read_image, read_mask
-from dvrk_cmaes.frames.keypoints import FramePrompts
+from dvrk_cmaes.frames.keypoints import Hints
 from dvrk_cmaes.frames.label import Label
 from dvrk_cmaes.frames.seen_view import Mask, SeenView, seen_by, seen_views
 from dvrk_cmaes.frames.video_frames import VideoFrame
@@ -48,11 +48,11 @@ class FrameFiles:
     ``time`` is that of the image, s, if it is known. ``notes`` state how camera and readings were chosen; ``problem``
     states why this frame cannot be used, None if it can. ``others`` are the files of the further views of a rig, by
     name; ``other_tools`` are those of other tools in the frame, whose pixels count neither way. ``video`` is the
-    frame's image where that is in a video, and there is no ``image``. ``start`` is an earlier result of the frame, which is refined instead of a search. ``crop``
-    is the part of the pictures that is used, left, top, width and height, px; ``pick``, ``keypoints`` and ``prompts``
-    are in pixels of the whole pictures. ``overlaid`` is a PNG of pixels of the whole pictures that are over all images
-    of the session, as a robot's messages, and do not count. ``unread``: a ``problem`` that is only that no reading
-    is near the image's time.
+    frame's image where that is in a video, and there is no ``image``. ``start`` is an earlier result of the frame,
+    which is refined instead of a search. ``crop`` is the part of the pictures that is used, left, top, width and
+    height, px; ``pick``, ``keypoints`` and ``prompts`` are in pixels of the whole pictures. ``overlaid`` is a PNG of
+    pixels of the whole pictures that are over all images of the session, as a robot's messages, and do not count.
+    ``unread``: a ``problem`` that is only that no reading is near the image's time.
     """
 
     name: str
@@ -64,7 +64,7 @@ class FrameFiles:
     label: Label | None = None
     pick: tuple[float, float] | None = None
     time: float | None = None
-    prompts: FramePrompts | None = None
+    prompts: Hints | None = None
     notes: tuple[str, ...] = ()
     problem: str | None = None
     others: Mapping[str, FrameFiles] = field(default_factory=dict)

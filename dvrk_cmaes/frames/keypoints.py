@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.csv_file import number_in, read_csv_rows
+from dvrk_cmaes.io.encode import encoded_fields
 from dvrk_cmaes.io.short_text import is_number, listed, shown
 
 _FRAME = "frame"
@@ -19,15 +22,19 @@ _POINT = ("u", "v")
 
 
 @dataclass(frozen=True)
-class FramePrompts:
+class Hints:
     """Box (left, top, right, bottom), px, around the instrument, None without one; pixels (u, v) on and beside it."""
 
     box: tuple[float, float, float, float] | None = None
-    points: tuple[tuple[float, float], ...] = ()
-    not_points: tuple[tuple[float, float], ...] = ()
+    points: Sequence[tuple[float, float]] = ()
+    not_points: Sequence[tuple[float, float]] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values, for JSON."""
+        return encoded_fields(self, "box", "points", "not_points")
 
 
-def read_boxes(path: str | Path) -> dict[str, FramePrompts]:
+def read_boxes(path: str | Path) -> dict[str, Hints]:
     """Read a boxes.csv: columns ``frame`` and ``x0, y0, x1, y1`` (a box), ``u, v`` (a point), or both; px.
 
     Blank cells of a box or a point mean that the frame has none.
@@ -41,7 +48,7 @@ def read_boxes(path: str | Path) -> dict[str, FramePrompts]:
     parts = [part for part in (_BOX, _POINT) if set(part) <= set(header)]
     if _FRAME not in header or not parts or set(header) - {_FRAME, *(name for part in parts for name in part)}:
         raise InputError(f"{path}: header: expected frame,x0,y0,x1,y1 or frame,u,v or both, got {listed(header)}")
-    prompts: dict[str, FramePrompts] = {}
+    prompts: dict[str, Hints] = {}
     for where, cells in rows:
         frame = cells[_FRAME]
         if not frame or frame in prompts:
@@ -49,7 +56,7 @@ def read_boxes(path: str | Path) -> dict[str, FramePrompts]:
         box, point = (_numbers(where, part, cells) if part in parts else () for part in (_BOX, _POINT))
         if box and not (box[0] < box[2] and box[1] < box[3]):
             raise InputError(f"{where}: expected a box with x0 < x1 and y0 < y1, got {listed(map(str, box))}")
-        prompts[frame] = FramePrompts(
+        prompts[frame] = Hints(
             (box[0], box[1], box[2], box[3]) if box else None, ((point[0], point[1]),) if point else ()
         )
     return prompts

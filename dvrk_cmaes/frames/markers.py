@@ -7,7 +7,6 @@ The detections of a session, markers.csv, have the columns ``frame, marker, u, v
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -25,17 +24,11 @@ from dvrk_cmaes.io.typed_document import Point, convert_document, refused
 _COLUMNS: Final = ("frame", "marker", "u", "v")
 
 
-class _MarkerEntry(Struct):
-    link: Annotated[str, Meta(min_length=1, description="the name of a link")]
-    position_m: Annotated[Point, Meta(description="3 finite numbers in metres")]
-
-
-@dataclass(frozen=True, eq=False)
-class Marker:
+class Marker(Struct, frozen=True, eq=False, rename={"position": "position_m"}):
     """A point on an instrument: the name of a link of the URDF, and the position (3,) in that link's frame, m."""
 
-    link: str
-    position: Float64
+    link: Annotated[str, Meta(min_length=1, description="the name of a link")]
+    position: Annotated[Point, Meta(description="3 finite numbers in metres")]
 
 
 def read_marker_table(path: str | Path) -> dict[str, Marker]:
@@ -54,10 +47,10 @@ def read_marker_table(path: str | Path) -> dict[str, Marker]:
 
 
 def _read_marker(where: str, document: Any) -> Marker:
-    entry = convert_document(where, document, _MarkerEntry)
-    if np.abs(entry.position_m).max() > 1:
+    marker = convert_document(where, document, Marker)
+    if np.abs(marker.position).max() > 1:
         raise refused(where, "position_m", "metres; this looks like millimetres", document["position_m"])
-    return Marker(entry.link, entry.position_m)
+    return marker
 
 
 def read_detections(path: str | Path) -> dict[str, dict[str, Float64]]:

@@ -64,7 +64,7 @@ def _frame(root: Path, name: str, number: str, image: Path) -> FrameFiles:
         if len(matching) > 1:
             raise InputError(f"{matching[1]}: expected one mask for frame {name}, got {matching[0].name} too")
         files = [read_joint_file(path) for path in paths if path.exists()]
-        readings = frame_readings(files, name, single=True).readings
+        readings = frame_readings(files, name, single=True)[0]
     except InputError as error:
         problem = str(error)
     return FrameFiles(name, matching[0] if matching else None, readings, image, problem=problem)

@@ -31,7 +31,7 @@ from dvrk_cmaes.camera.rig_files import read_rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.coco_mask import FILES, ROBOFLOW, frames_of
 from dvrk_cmaes.frames.frame import FrameFiles, frame_size
-from dvrk_cmaes.frames.keypoints import FramePrompts, read_boxes, read_keypoints
+from dvrk_cmaes.frames.keypoints import Hints, read_boxes, read_keypoints
 from dvrk_cmaes.frames.own_files import check_own
 from dvrk_cmaes.frames.picture_fit import fitted
 from dvrk_cmaes.frames.published_layout import find_published_frames, is_published_layout
@@ -108,7 +108,7 @@ class Session:
         except InputError:
             return None
 
-    def with_prompts(self, prompts: FramePrompts) -> Session:
+    def with_prompts(self, prompts: Hints) -> Session:
         """Return the session with prompts for the frames that have neither a mask nor a row in boxes.csv.
 
         Parameters
@@ -192,7 +192,7 @@ def read_session(
     side
         ``left`` or ``right``: the camera of a file of both eyes.
     known
-        Names of the instrument's joints, as in ``read_joints``.
+        Names of the instrument's joints, as in `read_joint_file`.
     joints
         Files of readings, which may have been read already; by default those in the session folder, which may have
         none. None: no readings are used.
@@ -366,10 +366,10 @@ def _with_readings(frame: FrameFiles, files: Sequence[JointFile], time: int | No
         problem = f"{escaped(str(odd[0]))}: expected a name in UTF-8 without control characters: rename it"
         return FrameFiles(frame.name, None, time=frame.time, problem=problem), None
     try:
-        found = frame_readings(files, frame.name, time=time)
+        readings, notes, farthest = frame_readings(files, frame.name, time=time)
     except InputError as error:
         return replace(frame, problem=str(error), unread=isinstance(error, NoneNearError)), None
-    return replace(frame, readings=found.readings, notes=found.notes), found.farthest
+    return replace(frame, readings=readings, notes=notes), farthest
 
 
 def _session_frames(

@@ -291,7 +291,7 @@ def _joint_table(
             what = "number" if measured else "frame"
             raise InputError(f"{where}: {key}: expected each {what} once, got {shown(label)} again")
         own = f"{path}: frame {label}" if key == "frame" and key in header else where
-        found[label] = JointRow(own, {joint: cells[name] for joint, name in columns.items()}, moment)
+        found[label] = (own, {joint: cells[name] for joint, name in columns.items()}, moment)
     if not found:
         raise InputError(f"{path}: expected a row for each frame, got a header only")
     if measured:

@@ -85,16 +85,16 @@ def file_of_messages(
         if values:
             in_order = [] if stated else joints_by_count(f"{where}: position", len(values))
             places = joints_of_arm(f"{where}: name", stated or in_order, names, arm)
-            rows[f"message {count + 1}"] = JointRow(where, {name: values[k] for name, k in places.items()}, time)
+            rows[f"message {count + 1}"] = (where, {name: values[k] for name, k in places.items()}, time)
     skipped = len(messages) - len(rows)
     if not rows:
         raise InputError(f"{path}: expected {EXPECTED}, got {f'{skipped} without positions' if skipped else 'none'}")
     unnamed = any(values and not stated for _, stated, values, _ in messages)
     notes = [*([IN_ORDER] if unnamed else []), *([without_positions(skipped)] if skipped else [])]
     if len(rows) == 2:
-        first, second = rows.values()
-        if not set(first.cells) & set(second.cells):
-            rows = {"both": JointRow(first.where, {**first.cells, **second.cells}, first.time)}
+        (where, first, time), (_, second, _) = rows.values()
+        if not set(first) & set(second):
+            rows = {"both": (where, {**first, **second}, time)}
     return JointFile.of(path, kind, rows, "message", tuple(notes))
 
 

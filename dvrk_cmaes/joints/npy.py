@@ -11,7 +11,7 @@ import numpy as np
 
 from dvrk_cmaes.errors import InputError, one_line
 from dvrk_cmaes.joints.names import joints_by_count
-from dvrk_cmaes.joints.rows import JointFile, JointRow
+from dvrk_cmaes.joints.rows import JointFile
 
 MAGIC = b"\x93NUMPY"
 
@@ -45,4 +45,4 @@ def read_joint_npy(path: str, data: bytes) -> JointFile:
     if values is None:
         raise InputError(f"{path}: expected {_EXPECTED}, got {dtype} of shape {shape}")
     cells = dict(zip(joints_by_count(path, len(values)), values, strict=True))
-    return JointFile.of(path, f"NumPy array of {len(values)}", {stem: JointRow(path, cells)}, "message")
+    return JointFile.of(path, f"NumPy array of {len(values)}", {stem: (path, cells, None)}, "message")

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +22,7 @@ from dvrk_cmaes.joints.joint_state import is_joint_state, read_joint_state
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.names import accepted_names, check_joint, joint_reading
 from dvrk_cmaes.joints.npy import MAGIC, read_joint_npy
-from dvrk_cmaes.joints.rows import BY_THEMSELVES, JointFile, JointRow, ReadAs, number_of
+from dvrk_cmaes.joints.rows import BY_THEMSELVES, JointFile, ReadAs, number_of
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.times import time_in_name
 
@@ -38,57 +37,15 @@ class NoneNearError(InputError):
     """No reading is near the time of an image, as where one of the two began earlier."""
 
 
-@dataclass(frozen=True)
-class FrameReadings:
-    """Readings of one frame.
-
-    Parameters
-    ----------
-    readings
-        By joint name, rad or m.
-    notes
-        Assumptions made where the files are ambiguous, one sentence each.
-    farthest
-        Largest distance in time, ns, between the image and a reading used in interpolation; None if none was.
-    """
-
-    readings: dict[str, float] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    farthest: int | None = None
-
-
-def read_joints(text_or_path: str | Path, *, frame: str | None = None, known: Iterable[str] = ()) -> dict[str, float]:
-    """Read the joint readings of one frame.
-
-    Parameters
-    ----------
-    text_or_path
-        ``wrist_pitch=-0.68,wrist_yaw=-0.36,jaw=1.34``, or the path of a file of readings. Text with an equals sign is
-        taken for a path only if such a file exists.
-    frame
-        Name of the frame, to select its row; optional if the file has a single row. Not used for readings given as
-        text.
-    known
-        Names of the instrument's joints that are accepted besides the dVRK's.
-
-    Returns
-    -------
-    dict
-        Readings by joint name, rad, or m for ``insertion``; only joints with a known reading.
-
-    Raises
-    ------
-    InputError
-        The readings are not valid; the message names the file, the frame or the joint, and what was expected.
-    """
-    file = read_joint_file(text_or_path, known=known)
-    return file.readings(_required_row(file, frame))
+FrameReadings = tuple[dict[str, float], tuple[str, ...], int | None]
+"""Readings of one frame, by joint, rad or m; assumptions made where the files are ambiguous, one sentence each; and the
+largest distance in time, ns, between the image and a reading used in interpolation, None if none was."""
 
 
 def read_joint_table(path: str | Path) -> dict[str, dict[str, float]]:
     """Read the joint readings of all rows of a file, by their label (frame or number), in the file's order.
 
-    Errors are those of ``read_joints``.
+    Errors are those of `read_joint_file`.
     """
     file = read_joint_file(path)
     return {label: file.readings(place) for label, place in file.names.items()}
@@ -99,11 +56,24 @@ def read_joint_file(
 ) -> JointFile:
     """Read a file of readings whose format is recognised by its content, or readings given as text as one row.
 
-    ``known`` and the errors are those of ``read_joints``.
+    Parameters
+    ----------
+    text_or_path
+        ``wrist_pitch=-0.68,wrist_yaw=-0.36,jaw=1.34``, or the path of a file of readings. Text with an equals sign is
+        taken for a path only if such a file exists.
+    known
+        Names of the instrument's joints that are accepted besides the dVRK's.
+    read_as
+        How files are read that do not say it themselves.
+
+    Raises
+    ------
+    InputError
+        The readings are not valid; the message names the file, the frame or the joint, and what was expected.
     """
     names = accepted_names(known)
     if is_written_out(text_or_path):
-        row = JointRow("joints", _written_out(str(text_or_path), names))
+        row = ("joints", _written_out(str(text_or_path), names), None)
         return JointFile.of("joints", "written-out readings", {"": row}, "message")
     path = str(text_or_path)
     data = read_bytes(path, expected=EXPECTED, largest=_LARGEST)
@@ -172,7 +142,7 @@ def frame_readings(
             if name in readings:
                 raise InputError(f"{file.path}: {name}: expected each joint in one file, got it in {origin[name]} too")
             readings[name], origin[name] = value, file.path
-    return FrameReadings(readings, tuple(notes), farthest)
+    return readings, tuple(notes), farthest
 
 
 def read_frame_joints(
@@ -190,7 +160,7 @@ def read_frame_joints(
     Parameters
     ----------
     sources
-        Texts or paths as for ``read_joints``, or files; each joint must be in one of them only.
+        Texts or paths as for `read_joint_file`, or files; each joint must be in one of them only.
     frame
         The frame's name, or None; if it is given, the sources must have its row.
     image
@@ -199,7 +169,7 @@ def read_frame_joints(
     time
         The image's time, ns; by default the time at the end of the image's name, if any.
     known
-        As in ``read_joints``.
+        As in `read_joint_file`.
     read_as
         How files are read that do not say it themselves.
     lag
@@ -223,18 +193,20 @@ def read_frame_joints(
     image_time = time_in_name(image) if time is None else time
     for file in files:
         only = len(file.values) == 1 and (frame is None or file.labels == "number")
-        if file.labels != "message" and not only and not (image_time is not None and file.timed):
-            _required_row(file, name)  # raises InputError if the frame has no row
+        found_by_label = file.labels != "message" and not only and not (image_time is not None and file.timed)
+        if found_by_label and _row_of(file, name, single=False)[0] is None:
+            count, near = len(file.values), listed(nearest_first(name, file.names))
+            raise InputError(f"{file.path}: frame: expected one of its {count} frames ({near}), got {shown(name)}")
     if lag is None:
         return frame_readings(files, name, time=image_time, single=True)
     series = ReadingSeries.of_files(files, {name: image_time})
     if series is None or name not in series.frames:
-        single = frame_readings(files, name, time=image_time, single=True)
-        return replace(single, notes=(*single.notes, f"the lag of {lag.text} is not taken out of single readings"))
+        readings, notes, farthest = frame_readings(files, name, time=image_time, single=True)
+        return readings, (*notes, f"the lag of {lag.text} is not taken out of single readings"), farthest
     found = series.of_frame(name, lag)
     if not found:
         raise InputError(f"{files[0].path}: frame {name}: expected readings {lag.text} before the image, got none")
-    return FrameReadings(found, (f"readings of {lag.text} before the image",))
+    return found, (f"readings of {lag.text} before the image",), None
 
 
 def is_written_out(text_or_path: str | Path) -> bool:
@@ -290,17 +262,3 @@ def _row_of(file: JointFile, frame: str, *, single: bool) -> tuple[int | None, t
         f"{file.path}: frame {frame}: expected the image's time (images.csv, or --time), to find its readings among "
         f"{len(file.values)} without a frame's name"
     )
-
-
-def _required_row(file: JointFile, frame: str | None) -> int:
-    """Find the place of a named frame's row, or of the only row; InputError if there is none."""
-    count, there = len(file.values), listed(file.names or ["messages"])
-    if count == 1 and (frame is None or file.labels == "message"):
-        return 0
-    if frame is None:
-        raise InputError(f"{file.path}: frame: expected the name of one of its {count} frames ({there}), got none")
-    row, _ = _row_of(file, frame, single=False)
-    if row is None:
-        near = listed(nearest_first(frame, file.names))
-        raise InputError(f"{file.path}: frame: expected one of its {count} frames ({near}), got {shown(frame)}")
-    return row

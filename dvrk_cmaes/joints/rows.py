@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,17 +47,9 @@ BY_THEMSELVES = ReadAs()
 """Of files that say all of it."""
 
 
-class JointRow(NamedTuple):
-    """One row or message of a file, as it is read.
-
-    where : prefix of error messages. cells : numbers or texts by joint name, blank if the reading is not known.
-    time : of the row, ns, or None.
-    """
-
-    where: str
-    cells: Mapping[str, object]
-    time: int | None = None
-
+JointRow = tuple[str, Mapping[str, object], int | None]
+"""One row or message of a file, as it is read: the prefix of error messages, numbers or texts by joint name, blank if a
+reading is not known, and the time of the row, ns, or None."""
 
 NO_TIME: Final = int(np.iinfo(np.int64).min)
 """In place of the time of a row that has none."""
@@ -109,15 +101,15 @@ class JointFile:
         notes: tuple[str, ...] = (),
     ) -> JointFile:
         """Create a file from its rows by label."""
-        joints = tuple(dict.fromkeys(name for row in rows.values() for name in row.cells))
+        joints = tuple(dict.fromkeys(name for _, cells, _ in rows.values() for name in cells))
         values, wrong = np.full((len(rows), len(joints)), np.nan), dict[int, str]()
-        for place, row in enumerate(rows.values()):
-            known = [(k, joints[k]) for k in range(len(joints)) if not is_missing(row.cells.get(joints[k]))]
+        for place, (where, cells, _) in enumerate(rows.values()):
+            known = [(k, name) for k, name in enumerate(joints) if not is_missing(cells.get(name))]
             try:
-                values[place, [k for k, _ in known]] = [joint_reading(row.where, n, row.cells[n]) for _, n in known]
+                values[place, [k for k, _ in known]] = [joint_reading(where, name, cells[name]) for _, name in known]
             except InputError as error:
                 wrong[place] = str(error)
-        times = np.array([NO_TIME if row.time is None else row.time for row in rows.values()], np.int64)
+        times = np.array([NO_TIME if time is None else time for _, _, time in rows.values()], np.int64)
         names = {} if labels == "message" else {label: place for place, label in enumerate(rows)}
         return cls(path, kind, labels, names, joints, times, values, wrong, notes)
 

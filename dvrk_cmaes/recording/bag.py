@@ -19,7 +19,7 @@ from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.io.yaml_file import check_yaml
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
 from dvrk_cmaes.joints.names import ECM_JOINTS, IN_ORDER, without_positions
-from dvrk_cmaes.joints.rows import JointFile, JointRow
+from dvrk_cmaes.joints.rows import JointFile
 from dvrk_cmaes.recording.camera import camera_file, read_camera_bytes
 from dvrk_cmaes.recording.messages import ecm_values, image_file, joint_places, joint_values, stamp, stamped_pose
 from dvrk_cmaes.recording.pose_table import read_timed_joints
@@ -135,7 +135,7 @@ def read_bag_joints(path: Path, arm: str | None = None) -> JointFile:
     """Read the readings of an arm in a ROS recording as a file of readings with times; errors as `open_bag`."""
     with open_bag(path, Asked(arms=() if arm is None else (arm,), image_topic=NONE)) as recording:
         rows = {
-            f"message {k + 1} of {series.source}": JointRow(
+            f"message {k + 1} of {series.source}": (
                 f"{path}: {series.source}: message {k + 1}",
                 dict(zip(series.joints, row, strict=True)),
                 int(time),

@@ -130,10 +130,7 @@ def failed_outcome(setup: BatchSetup, files: FrameFiles, reason: str) -> FrameOu
 
 def hints_of(files: FrameFiles) -> Hints | None:
     """Return the prompts of a frame for its segmentation; None without any."""
-    prompts = files.prompts
-    if prompts is None:
-        return None
-    return hints_within(Hints(prompts.box, prompts.points, prompts.not_points), files.crop)
+    return None if files.prompts is None else hints_within(files.prompts, files.crop)
 
 
 def relative_text(folder: Path, text: str) -> str:

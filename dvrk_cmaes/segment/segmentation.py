@@ -6,14 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.keypoints import Hints as Hints
 from dvrk_cmaes.io.arguments import described
-from dvrk_cmaes.io.encode import encoded_fields
 
 Pixel = tuple[float, float]
 Box = tuple[float, float, float, float]
@@ -63,19 +63,6 @@ class SegmentSettings:
     weights: Path | None = None
     backgrounds: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict, compare=False)
     notes: tuple[str, ...] = field(default=(), compare=False)
-
-
-@dataclass(frozen=True)
-class Hints:
-    """Prompts in pixels of the image, as in `dvrk_cmaes.segment.segment`."""
-
-    box: Box | None = None
-    points: Sequence[Pixel] = ()
-    not_points: Sequence[Pixel] = ()
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values, for JSON."""
-        return encoded_fields(self, "box", "points", "not_points")
 
 
 def hints_within(hints: Hints, crop: tuple[int, int, int, int] | None) -> Hints:

@@ -9,7 +9,7 @@ import pytest
 from helpers.places import bundled_path
 
 from dvrk_cmaes import InputError, read_session
-from dvrk_cmaes.frames.keypoints import FramePrompts, read_boxes
+from dvrk_cmaes.frames.keypoints import Hints, read_boxes
 from dvrk_cmaes.runs.manifest import frame_stamps
 
 
@@ -22,12 +22,12 @@ def written(folder: Path, text: str) -> Path:
 def test_boxes_and_points_are_read(tmp_path: Path) -> None:
     found = read_boxes(written(tmp_path, "frame,x0,y0,x1,y1,u,v\na,1,2,30,40,,\nb,,,,,5,6.5\nc,1,2,3,4,2,3\nd,,,,,,\n"))
     assert found == {
-        "a": FramePrompts((1, 2, 30, 40)),
-        "b": FramePrompts(None, ((5, 6.5),)),
-        "c": FramePrompts((1, 2, 3, 4), ((2, 3),)),
-        "d": FramePrompts(),
+        "a": Hints((1, 2, 30, 40)),
+        "b": Hints(None, ((5, 6.5),)),
+        "c": Hints((1, 2, 3, 4), ((2, 3),)),
+        "d": Hints(),
     }
-    assert read_boxes(written(tmp_path, "frame,u,v\na,1,2\n")) == {"a": FramePrompts(None, ((1, 2),))}
+    assert read_boxes(written(tmp_path, "frame,u,v\na,1,2\n")) == {"a": Hints(None, ((1, 2),))}
 
 
 @pytest.mark.parametrize(
@@ -55,11 +55,11 @@ def test_prompts_are_those_of_frames_without_mask(tmp_path: Path) -> None:
     written(session_folder, "frame,x0,y0,x1,y1\n0001,300,100,600,450\n")
     session = read_session(session_folder)
     before = {files.name: frame_stamps(files) for files in session.frames}
-    other = FramePrompts(None, ((1.0, 2.0),))
+    other = Hints(None, ((1.0, 2.0),))
     prompts = {files.name: files.prompts for files in session.with_prompts(other).frames}
     assert prompts == {
         "0000": None,
-        "0001": FramePrompts((300, 100, 600, 450)),
+        "0001": Hints((300, 100, 600, 450)),
         "0002": other,
         "0003": None,
         "0004": None,

@@ -33,8 +33,7 @@ label = 2
 def described(folder: Path, text: str) -> SessionEntries:
     """Write a session.toml and read it."""
     (folder / "session.toml").write_text(text, encoding="utf-8")
-    entries = read_session_toml(folder)
-    return entries
+    return read_session_toml(folder)
 
 
 def test_session_without_the_file_has_no_entries(tmp_path: Path) -> None:

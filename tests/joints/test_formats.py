@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.readings import read_joints
 
 from dvrk_cmaes import InputError
-from dvrk_cmaes.joints.reading import frame_readings, read_joint_file, read_joints
+from dvrk_cmaes.joints.reading import frame_readings, read_joint_file
 from dvrk_cmaes.joints.times import parse_time, time_in_name
 
 ARM = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw")
@@ -69,7 +70,7 @@ def test_gap_beyond_tolerance_is_refused(tmp_path: Path) -> None:
         "got the nearest 0.100 s away"
     )
     wider = frame_readings([file], "a", time=parse_time("", "10.1"), tolerance=100_000_000)
-    assert wider.readings["jaw"] == pytest.approx(0.3)
+    assert wider[0]["jaw"] == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize(

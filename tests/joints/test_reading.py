@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from helpers.readings import read_joints
 
 from dvrk_cmaes import InputError
-from dvrk_cmaes.joints.reading import read_joints
 
 TABLE = """\
 frame,yaw,pitch,insertion,roll,wrist_pitch,wrist_yaw,jaw
@@ -80,7 +80,7 @@ def test_reading_just_below_full_turn_is_accepted() -> None:
 @pytest.mark.parametrize(
     ("text", "frame", "expected"),
     [
-        (TABLE, None, "frame: expected the name of one of its 2 frames (0026, 0030), got none"),
+        (TABLE, None, "frame: expected one of its 2 frames (0026, 0030), got 'image'"),
         (TABLE, "26", "frame: expected one of its 2 frames (0026, 0030), got '26'"),
         (TABLE, "0031", "frame: expected one of its 2 frames (0030, 0026), got '0031'"),
         (TABLE + "0026,,,,,,,\n", "0026", "line 4: frame: expected each frame once, got '0026' again"),
