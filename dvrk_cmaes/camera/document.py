@@ -83,19 +83,8 @@ _PINHOLE = ("pinhole", "perspective", "simplepinhole")
 _STRICT_ROLES = ("matrix", "lens", "projection", "fx", "fy", "cx", "cy")
 
 
-class _Fields(dict[str, tuple[str, Any]]):
-    """Name as in the file, and value, of each role; ``where`` names the file for messages."""
-
-    def __init__(self, where: str) -> None:
-        super().__init__()
-        self.where = where
-
-    def add(self, role: str, name: str, value: Any) -> None:
-        """Add a field; InputError if another one states something else of the same."""
-        known = self.get(role)
-        if known is not None and role in _STRICT_ROLES and list(_leaves(known[1])) != list(_leaves(value)):
-            raise InputError(f"{self.where}: {name}: expected one {role}, got {known[0]} that states another")
-        self.setdefault(role, (name, value))
+_Fields = dict[str, tuple[str, Any]]
+"""Name as in the file, and value, of each role."""
 
 
 def plain(name: str) -> str:
@@ -149,7 +138,7 @@ def read_fields(where: str, document: Mapping[str, Any], *, rectified: bool, sid
     if not is_camera(document):
         raise _unknown_layout(where, document)
     fields = _sorted_fields(where, document, side if stereo else None)
-    images, size, focal, lens, more = _intrinsics(fields, rectified, side if stereo else None)
+    images, size, focal, lens, more = _intrinsics(where, fields, rectified, side if stereo else None)
     return Intrinsics(f"{kind}, {images}", size, *focal, *lens, (*notes, *more), _ratio(fields))
 
 
@@ -249,7 +238,7 @@ def _sorted_fields(where: str, document: Mapping[str, Any], side: Side | None) -
 
     Of a pair, those of ``side`` and those of both.
     """
-    fields = _Fields(where)
+    fields: _Fields = {}
     for name, value in document.items():
         marked = _marked(plain(name), value) if side is not None else None
         role = marked[0] if marked is not None else _role(plain(name), value)
@@ -258,7 +247,9 @@ def _sorted_fields(where: str, document: Mapping[str, Any], side: Side | None) -
         if value is None or (marked is not None and marked[1] != side):
             continue
         if role is not None:
-            fields.add(role, name, value)
+            known = fields.setdefault(role, (name, value))
+            if role in _STRICT_ROLES and list(_leaves(known[1])) != list(_leaves(value)):
+                raise InputError(f"{where}: {name}: expected one {role}, got {known[0]} that states another")
         elif not _is_without_lens(plain(name), value):
             raise _unknown(where, name)
     return fields
@@ -295,26 +286,25 @@ def _leaves(value: Any) -> Iterator[Any]:
 
 
 def _intrinsics(
-    fields: _Fields, rectified: bool, side: Side | None
+    where: str, fields: _Fields, rectified: bool, side: Side | None
 ) -> tuple[str, Size | None, tuple[float, float, float, float], tuple[str, tuple[float, ...]], tuple[str, ...]]:
     """Return what was used, size, focal lengths and principal point, lens, and notes."""
-    where = fields.where
     notes: tuple[str, ...] = ()
     if not rectified and _is_zero(fields.get("matrix")) and not _is_zero(fields.get("projection")):
         rectified, notes = True, ("K is zero: the images are taken for rectified ones, with the camera of P",)
     if rectified and "projection" in fields:
         name, entry = fields["projection"]
         focal = take_matrix(where, name, entry)
-        return f"rectified images ({name})", _size(fields, focal), focal, ("plumb_bob", ()), notes
-    name, focal = _focal(fields, side)
-    lens, used, notes = _lens(fields, name)
+        return f"rectified images ({name})", _size(where, fields, focal), focal, ("plumb_bob", ()), notes
+    name, focal = _focal(where, fields, side)
+    lens, used, notes = _lens(where, fields, name)
     if not rectified:
-        return f"raw images ({used})", _size(fields, focal), focal, lens, notes
+        return f"raw images ({used})", _size(where, fields, focal), focal, lens, notes
     if lens[0] == "equidistant" or any(lens[1]):
         raise InputError(
             f"{where}: --rectified: expected a projection matrix (ROS camera_info, or OpenCV with P1 and P2), got none"
         )
-    return f"rectified images ({name})", _size(fields, focal), focal, ("plumb_bob", ()), ()
+    return f"rectified images ({name})", _size(where, fields, focal), focal, ("plumb_bob", ()), ()
 
 
 def _is_zero(field: tuple[str, Any] | None) -> bool:
@@ -322,9 +312,9 @@ def _is_zero(field: tuple[str, Any] | None) -> bool:
     return field is not None and not any(as_number(leaf) != 0 for leaf in _leaves(field[1]))
 
 
-def _focal(fields: _Fields, side: Side | None) -> tuple[str, tuple[float, float, float, float]]:
+def _focal(where: str, fields: _Fields, side: Side | None) -> tuple[str, tuple[float, float, float, float]]:
     """Return fx, fy, cx, cy of raw images, and the name of what states them."""
-    where, names = fields.where, ("fx", "fy", "cx", "cy")
+    names = ("fx", "fy", "cx", "cy")
     found = None
     if "matrix" in fields:
         found = take_matrix(where, *fields["matrix"])
@@ -346,9 +336,9 @@ def _focal(fields: _Fields, side: Side | None) -> tuple[str, tuple[float, float,
     return fields["matrix"][0], found
 
 
-def _lens(fields: _Fields, matrix: str) -> tuple[tuple[str, tuple[float, ...]], str, tuple[str, ...]]:
+def _lens(where: str, fields: _Fields, matrix: str) -> tuple[tuple[str, tuple[float, ...]], str, tuple[str, ...]]:
     """Return model and coefficients of the lens, names of what was used, and notes."""
-    where, model = fields.where, _model(fields)
+    model = _model(where, fields)
     name, entry = fields.get("lens", ("", None))
     single = {role: value for role, (_, value) in fields.items() if _COEFFICIENT.fullmatch(role)}
     if isinstance(entry, Mapping) and "data" not in entry:
@@ -395,7 +385,7 @@ def _in_order(where: str, single: Mapping[str, Any], model: str | None) -> list[
     return [values.get(name, 0.0) for name in order] if any(values.values()) or model == "equidistant" else []
 
 
-def _model(fields: _Fields) -> str | None:
+def _model(where: str, fields: _Fields) -> str | None:
     """Return the distortion model that a file states; None if it does not."""
     found: dict[str, str] = {}
     for role in ("model", "camera model"):
@@ -406,28 +396,27 @@ def _model(fields: _Fields) -> str | None:
         if not isinstance(given, str) or letters not in _MODEL_OF:
             names = nearest_first(str(given)[:60], _MODELS) if isinstance(given, str) else list(_MODELS)
             more = ", pinhole" if role == "camera model" else ""
-            raise InputError(f"{fields.where}: {name}: expected one of {', '.join(names)}{more}, got {shown(given)}")
+            raise InputError(f"{where}: {name}: expected one of {', '.join(names)}{more}, got {shown(given)}")
         found[_MODEL_OF[letters]] = name
     if "fisheye" in fields and fields["fisheye"][1] not in (0, "0", False):
         found["equidistant"] = fields["fisheye"][0]
     if len(found) > 1:
-        raise InputError(f"{fields.where}: {', '.join(found.values())}: expected one model, got {', '.join(found)}")
+        raise InputError(f"{where}: {', '.join(found.values())}: expected one model, got {', '.join(found)}")
     return next(iter(found), None)
 
 
-def _size(fields: _Fields, focal: tuple[float, float, float, float]) -> Size | None:
+def _size(where: str, fields: _Fields, focal: tuple[float, float, float, float]) -> Size | None:
     """Return width and height; None if they are not stated.
 
     Of a list with a matrix in rows, as scripts write, the larger number is the width, or the height where the
     principal point would be outside.
     """
-    where = fields.where
     if "width" in fields or "height" in fields:
         for role in ("width", "height"):
             if role not in fields:
                 raise InputError(f"{where}: image_{role}: missing (expected image_{role} or {role})")
         width, height = (take_length(where, *fields[role]) for role in ("width", "height"))
-        _refuse_region(fields, width, height)
+        _refuse_region(where, fields, width, height)
         return width, height
     if "size" not in fields:
         return None
@@ -446,7 +435,7 @@ def _ratio(fields: _Fields) -> float:
     return down / across * aspect
 
 
-def _refuse_region(fields: _Fields, width: int, height: int) -> None:
+def _refuse_region(where: str, fields: _Fields, width: int, height: int) -> None:
     """Raise an InputError for a region of interest of the sensor: its pixels have another origin."""
     name, roi = fields.get("roi", ("roi", None))
     whole = {"x_offset": (0,), "y_offset": (0,), "width": (0, width), "height": (0, height)}
@@ -454,7 +443,7 @@ def _refuse_region(fields: _Fields, width: int, height: int) -> None:
     for key, usual in whole.items():
         if entries.get(key, 0) not in usual:
             raise InputError(
-                f"{fields.where}: {name}.{key}: expected images of the whole sensor, got {shown(entries[key])}: "
+                f"{where}: {name}.{key}: expected images of the whole sensor, got {shown(entries[key])}: "
                 "for images of a region subtract x_offset and y_offset from cx and cy, state the region's width and "
                 "height, and leave roi out"
             )

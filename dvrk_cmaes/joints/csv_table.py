@@ -32,6 +32,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.csv_file import Rows, read_csv_rows
 from dvrk_cmaes.io.short_text import listed, shown
+from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.joint_state import file_of_messages
 from dvrk_cmaes.joints.names import ARM_ORDER, joint_reading, joints_of_arm
 from dvrk_cmaes.joints.rows import JointFile, JointRow
@@ -133,7 +134,7 @@ LEAST = 1_000_000
 _CHUNK = 1 << 23  # bytes that are read at once
 _NUMBERS = b"0123456789+-.eEnaN,\n"
 _LATEST = 4_000_000_000  # s; larger times may be in another unit
-_MOST_WIDTH, _DIGITS = 20, 9  # characters of a time, and its digits behind the point
+_DIGITS = 9  # of a time behind the point
 
 
 def read_plain_table(path: str, data: bytes, names: Sequence[str]) -> JointFile | None:
@@ -168,53 +169,46 @@ def read_plain_table(path: str, data: bytes, names: Sequence[str]) -> JointFile 
 
 
 def _numbers(chunk: bytes, columns: int) -> tuple[NDArray[np.int64], Float64] | None:
-    """Return times (N,), ns, and readings (N, J) of whole rows; None if a row is not of plain numbers."""
+    """Return times (N,), ns, and readings (N, J) of whole rows; None if a row is not of plain numbers.
+
+    The point of each time is taken for a comma: whole seconds and their digits are then exact.
+    """
     if chunk.translate(None, _NUMBERS):
         return None
     while b",," in chunk:
         chunk = chunk.replace(b",,", b",nan,")
-    chunk = chunk.replace(b",\n", b",nan\n")
-    buffer = np.frombuffer(chunk, np.uint8)
-    ends, commas = np.flatnonzero(buffer == ord("\n")), np.flatnonzero(buffer == ord(","))
+    buffer = np.frombuffer(chunk.replace(b",\n", b",nan\n"), np.uint8).copy()
+    ends, commas, points = (np.flatnonzero(buffer == ord(mark)) for mark in "\n,.")
     starts = np.concatenate([[0], ends[:-1] + 1])
     if len(commas) != len(ends) * (columns - 1):
         return None
     between = commas.reshape(len(ends), columns - 1)
-    if (between[:, 0] < starts).any() or (between[:, -1] > ends).any():
+    first = between[:, 0]
+    of_time = np.searchsorted(points, starts), np.searchsorted(points, first)
+    if (first < starts).any() or (between[:, -1] > ends).any() or (of_time[1] - of_time[0] != 1).any():
         return None
-    times = _exact_times(buffer, starts, between[:, 0])
+    point = points[of_time[0]]
+    digits = first - point - 1
+    for mark in "eE+-nN":
+        signs = np.flatnonzero(buffer == ord(mark))
+        if (np.searchsorted(signs, starts) != np.searchsorted(signs, first)).any():
+            return None
+    if not 1 <= digits.min() <= digits.max() <= _DIGITS or (point == starts).any():
+        return None
+    buffer[point] = buffer[ends] = ord(",")
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # text that is no number
         try:
-            cells = np.fromstring(chunk.replace(b"\n", b","), sep=",")
+            cells = np.fromstring(buffer.tobytes(), sep=",")
         except (DeprecationWarning, ValueError):
             return None
-    if times is None or cells.size != len(ends) * columns:
+    if cells.size != len(ends) * (columns + 1):
         return None
-    return times, cells.reshape(len(ends), columns)[:, 1:]
-
-
-def _exact_times(
-    buffer: NDArray[np.uint8], starts: NDArray[np.int64], ends: NDArray[np.int64]
-) -> NDArray[np.int64] | None:
-    """Return times with a point, s, exactly in ns; None if one is not of that kind."""
-    widths = ends - starts
-    if not 0 < widths.min() <= widths.max() <= _MOST_WIDTH:
+    cells = cells.reshape(len(ends), columns + 1)
+    if cells[:, 0].max() > _LATEST:
         return None
-    number = np.zeros(len(starts), np.int64)
-    places = np.full(len(starts), -1)  # digits behind the point; -1 before it
-    for k in range(int(widths.max())):
-        inside = k < widths
-        letter = buffer[np.minimum(starts + k, len(buffer) - 1)]
-        point, digit = inside & (letter == ord(".")), inside & (letter >= ord("0")) & (letter <= ord("9"))
-        if (inside & ~point & ~digit).any() or (point & (places >= 0)).any() or (digit & (places >= _DIGITS)).any():
-            return None
-        number = np.where(digit, number * 10 + letter - ord("0"), number)
-        places += digit & (places >= 0)
-        places[point] = 0
-    if (places < 0).any() or (number < 0).any() or (number // 10 ** places.clip(0) > _LATEST).any():
-        return None
-    return np.asarray(number * 10 ** (_DIGITS - places), np.int64)
+    seconds, parts = cells[:, :2].T.astype(np.int64)
+    return seconds * NANOSECONDS + parts * 10 ** (_DIGITS - digits), cells[:, 2:]
 
 
 EXPECTED = "joint readings (joints.csv, or name=value,name=value)"
