@@ -118,13 +118,14 @@ class Offsets(PredictedBlock):
 class ViewAsSeen:
     """How a view is taken to see the instrument: its ``camera``, ``place`` (4, 4), m, and mask's ``margin``, px.
 
-    ``size`` is the width of its images in that of the reference camera's.
+    ``size`` is the width of its images in that of the reference camera's, ``scale`` the factor on the instrument.
     """
 
     camera: Camera
     place: Float64
     margin: float
     size: float
+    scale: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,8 +154,8 @@ class SeenBlock(Block, ABC):
         Values from which estimates start; zero by default.
     """
 
-    is_linear: ClassVar[bool] = False
-    """Whether the outlines are always linearised where the unknowns are zero."""
+    is_linear: ClassVar[bool | tuple[bool, ...]] = False
+    """Whether the outlines are always linearised where the unknowns, all or each of them, are zero."""
 
     def __init__(self, name: str, std: Float64, start: Float64 | None = None) -> None:
         super().__init__(name, std)

@@ -21,7 +21,7 @@ from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, Solved, Solver, m
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.geometry import Float64, Posed
+from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.pose.terms.coverage import Coverage
 from dvrk_cmaes.pose.terms.shared_errors import SIDES
 from dvrk_cmaes.pose.terms.sized_view import SizedView
@@ -49,6 +49,7 @@ def outline_task(
     outline = replace(config.refine.outline, cauchy=config.session.cauchy)
     sized = SizedView(view, blur=outline.blur, margin=by.margin)
     coverage = Coverage([sized], outline, correlations=own.lengths)
+    at = _as_large(at, by)
     (drawn,) = coverage.draw(Posed.stacked([at]))
     assert own.residual is not None
     coverage = coverage.with_noise(own.residual)
@@ -58,7 +59,17 @@ def outline_task(
         return np.column_stack([block.effect(drawn_there) for block in blocks])
 
     whole = coverage.near_with_sides(at, own.noises, effects, drawn, as_seen=config.session.shadows)
-    return without_sides(whole, SIDES, IN_SESSION)
+    left = without_sides(whole, SIDES, IN_SESSION)
+    by_scale = np.ones(left.dimension)
+    by_scale[:3] /= by.scale
+    return Quadratic(left.information * np.outer(by_scale, by_scale), left.slope * by_scale)
+
+
+def _as_large(at: Posed, by: ViewAsSeen) -> Posed:
+    """Return the pose at which the instrument of the model looks as one that is larger by a factor does at a pose."""
+    pose = by.place @ at.pose
+    pose[:3, 3] /= by.scale
+    return Posed(inverse(by.place) @ pose, at.joints)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +99,7 @@ class SessionOutlines:
         InputError
             With a changed focal length, the lens distortion is not one-to-one over the image.
         """
-        values = {one.name: one.start if one.is_linear else values[one.name] for one in self.blocks}
+        values = {one.name: np.where(one.is_linear, one.start, values[one.name]) for one in self.blocks}
         tasks = [
             (stored, view, self._seen(stored, view, values), at[k], self.blocks)
             for k, (stored, view) in enumerate(zip(self.stored, self.views, strict=True))
@@ -234,8 +245,8 @@ def _linearised(
 def _settled(there: Linearised, outlines: SessionOutlines, names: Sequence[str]) -> bool:
     """Whether the blocks of some names are where they were linearised."""
     asked = [one for one in outlines.blocks if one.name in names]
-    moved = [(np.abs(there.value(one.name) - there.fits.seen[one.name]), there.std(one)) for one in asked]
-    return all((most < _SETTLED * std).all() for most, std in moved)
+    moved = [(np.abs(there.value(one.name) - there.fits.seen[one.name]), one) for one in asked]
+    return all((one.is_linear | (most < _SETTLED * there.std(one))).all() for most, one in moved)
 
 
 def weak(count: int) -> Float64:

@@ -26,7 +26,7 @@ from dvrk_cmaes.calibration.linearise import (
 )
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.session_masks import BIAS, BiasEstimate, MaskBias, estimate_bias
-from dvrk_cmaes.calibration.session_shaft import SessionShaft
+from dvrk_cmaes.calibration.session_shaft import SIZES, SessionShaft, usual_sizes
 from dvrk_cmaes.calibration.solve import inverse_information
 from dvrk_cmaes.calibration.stored_frame import changed
 from dvrk_cmaes.calibration.variances import solve_with_variances
@@ -316,7 +316,7 @@ def estimate_camera(arms: Sequence[ArmOutlines], config: EstimateConfig, *, pass
     ``config`` has the settings of the variance components, which are estimated again with the change.
     """
     solver = partial(solve_with_variances, config=config.session, steps=_STEPS)
-    return linearise(arms, solver, [CAMERA], passes=passes)
+    return linearise(arms, solver, [CAMERA, SIZES], passes=passes)
 
 
 def _stated(
@@ -387,10 +387,12 @@ def _checked(
     bias, shaft = None, None
     for block in outlines.blocks:
         if isinstance(block, MaskBias):
-            bias = estimate_bias(there, block, known if applied is None else {})
+            known[SIZES] = usual_sizes(config.camera)
+            priors = known if applied is None else {SIZES: known[SIZES]}
+            bias = estimate_bias(there, block, priors)
             change, covariance = bias.values[own], bias.covariance[own, own]
-            bias = replace(estimate_bias(first, block, known if applied is None else {}), of_frames=bias.of_frames)
-            known = {**known, BIAS: bias.std_px}
+            bias = replace(estimate_bias(first, block, priors), of_frames=bias.of_frames)
+            known[BIAS] = bias.std_px
             shaft = SessionShaft.of(there, known)
     blocks, of_blocks = _stated(there, outlines.blocks, known, config.session.shared_errors)
     covariance = config.session.shared_errors**2 * covariance

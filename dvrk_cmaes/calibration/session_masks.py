@@ -44,15 +44,8 @@ _LEAST, _OF_MARGIN = 0.1, 0.5
 """Prior size besides what the fits show: px of any mask, and share of the margin that is taken off."""
 _LOG_STD = 0.7  # of the prior of the logarithm of the size
 _SIZES = np.geomspace(0.03, 0.999 * _BIAS_STD, 16)  # px
+_SWEEPS = 3  # in which the sizes are estimated one after the other
 _NONE = 1e-3  # px, of an error that is not there
-_OF_FOUND = 1 / 3
-"""Share of the squares of the errors that were found in those that are expected, as they are not taken off.
-
-Outlines hardly tell such an error from one of the arm or base: how much of what is found is the masks' may be anything
-from none to all. In 19 made recordings with known truth the base was within 2.2 standard deviations in each direction
-with all of the squares and with a third. A base less what all of the found errors do to it was farther off in each of
-the six in which that was most.
-"""
 _MARGIN_PX = 0.08  # of all masks, beyond what the keyframes tell: rounded corners, a segmenter's threshold
 
 
@@ -272,20 +265,12 @@ def estimate_bias(there: Linearised, bias: MaskBias, priors: Mapping[str, Float6
     calibration, count = there.solution.calibration, there.solution.calibration.own
     place = calibration.place(BIAS)
     of_outlines = np.linalg.inv(there.covariance[place, place])
-    seen = there.value(BIAS)
-    std = np.full(
-        len(seen), _likely_size(of_outlines - np.eye(len(seen)) / _BIAS_STD**2, of_outlines @ seen, bias.usual_px)
-    )
-    for _ in range(len(seen)):
-        known, spread = there.with_std({BIAS: std})
-        below = (known[place] < 0) & (std > _NONE)
-        if not below.any():
-            break
-        std[below] = _NONE
+    slope = of_outlines @ there.value(BIAS)
+    std = _likely_sizes(of_outlines - np.eye(len(slope)) / _BIAS_STD**2, slope, bias.usual_px)
+    known, spread = there.with_std({BIAS: std})
     both = np.r_[calibration.place(MARGIN), place]
     left, of_errors = there.with_std({BIAS: std, **priors})
     left[calibration.place(MARGIN)] -= bias.margin_px
-    unresolved = np.r_[left[calibration.place(MARGIN)], np.sqrt(_OF_FOUND) * left[place]]
     information = there.information
     of_calibration = np.asarray(np.linalg.solve(information[:count, :count], information[:count, both]), np.float64)
     frames = marginalise(there.model, there.fits, calibration)
@@ -295,21 +280,28 @@ def estimate_bias(there: Linearised, bias: MaskBias, priors: Mapping[str, Float6
         std,
         known,
         spread,
-        np.asarray(of_errors[np.ix_(both, both)] + np.outer(unresolved, unresolved), dtype=np.float64),
+        np.asarray(of_errors[np.ix_(both, both)] + np.outer(left[both], left[both]), dtype=np.float64),
         of_calibration,
         by_all[:, :, :count] @ of_calibration - by_all[:, :, both],
     )
 
 
-def _likely_size(information: Float64, slope: Float64, usual_px: float) -> float:
-    """Return the size, px, of errors of which the outlines tell this, as the mean of its logarithm."""
-    logs = []
-    for size in _SIZES:
-        whole = information + np.eye(len(slope)) / size**2
-        likely = slope @ np.linalg.solve(whole, slope) - np.linalg.slogdet(whole)[1] - 2 * len(slope) * np.log(size)
-        logs.append(0.5 * (likely - (np.log(size / usual_px) / _LOG_STD) ** 2))
-    probability = np.exp(np.array(logs) - max(logs))
-    return float(np.exp(probability @ np.log(_SIZES) / probability.sum()))
+def _likely_sizes(information: Float64, slope: Float64, usual_px: float) -> Float64:
+    """Return the sizes (6,), px, of errors of which the outlines tell this, as means of their logarithms.
+
+    Each is that of one error given the sizes of the others (automatic relevance determination); next to nothing where
+    the error would be negative.
+    """
+    std = np.full(len(slope), usual_px)
+    for i in [*range(len(slope))] * _SWEEPS:
+        prior = std**-2.0
+        prior[i] = 0.0
+        covariance = np.linalg.inv(information + np.diag(prior))
+        alone, variance = float(covariance[i] @ slope), _SIZES**2 + covariance[i, i]
+        logs = -0.5 * (np.log(variance) + alone**2 / variance + (np.log(_SIZES / usual_px) / _LOG_STD) ** 2)
+        probability = np.exp(logs - logs.max())
+        std[i] = np.exp(probability @ np.log(_SIZES) / probability.sum()) if alone > 0 else _NONE
+    return std
 
 
 def change_by_margin(at: Posed, camera: Camera, instrument: Instrument) -> Float64:

@@ -7,13 +7,14 @@ so a session tells both apart, beside the focal length of a camera whose file is
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.blocks import CLEAR, OutlineOfView, SeenBlock
+from dvrk_cmaes.calibration.blocks import CLEAR, OutlineOfView, SeenBlock, ViewAsSeen
 from dvrk_cmaes.calibration.linearise import Linearised
+from dvrk_cmaes.config import CameraConfig
 from dvrk_cmaes.geometry import Float64, Posed, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.encode import Document
@@ -24,7 +25,8 @@ from dvrk_cmaes.silhouette import OutlinePoints
 SIZES = "sizes"
 """Name of the block."""
 
-_STD = 0.01  # of the logarithms, of parts of tools of one kind
+_PART_STD = 0.01  # of the logarithms, of parts of tools of one kind
+_WIDE = np.array([_PART_STD, _PART_STD, _PART_STD, 0.05])  # where the outlines are linearised
 _WEAK_STD = 0.5  # of the same where it is asked which tool is there
 _LEAST: Final = {"radius": 0.02, "wrist": 0.04, "jaws": 0.04, "whole": 0.02}
 """Shares of the sizes, beyond which whole or part is another one.
@@ -41,17 +43,26 @@ _TEXTS: Final = {
 }
 
 
+def usual_sizes(config: CameraConfig) -> Float64:
+    """Return the standard deviations (4,) of the logarithms that tools of one kind have."""
+    return np.array([_PART_STD] * 3 + [config.instrument_size_percent / 100])
+
+
 class InstrumentSizes(SeenBlock):
     """The logarithms (4,) of factors on shaft's radius, length from wrist to jaws' axis, jaws' length, and the whole.
 
-    Nothing is told of a size that the instrument does not have.
+    Only the whole is drawn with the size that is estimated. Nothing is known of a size that the instrument lacks.
     """
 
-    is_linear = True
+    is_linear = True, True, True, False
 
     def __init__(self, instrument: Instrument) -> None:
-        super().__init__(SIZES, np.full(len(_LEAST), _STD))
+        super().__init__(SIZES, _WIDE)
         self._instrument = instrument
+
+    def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
+        """Return a view of an instrument that is larger as a whole."""
+        return replace(by, scale=by.scale * float(np.exp(values[-1])))
 
     def effect(self, outline: OutlineOfView) -> Float64:
         """Return the displacements of the outline's points by each of the sizes."""
@@ -119,12 +130,12 @@ class SessionShaft(Document):
 
     @classmethod
     def of(cls, there: Linearised, known: Mapping[str, Float64 | float]) -> SessionShaft:
-        """Tell the factors from outlines that were linearised in them, with what is known of other blocks."""
+        """Estimate the factors from outlines that were linearised in them; ``known`` are priors, also of the sizes."""
         place = there.solution.calibration.place(SIZES)
         of_whole = np.array([name == "whole" for name in _LEAST])
         pairs = []
         for asked in (~of_whole, of_whole):
-            values, covariance = there.with_std({**known, SIZES: np.where(asked, _WEAK_STD, _STD)})
+            values, covariance = there.with_std({**known, SIZES: np.where(asked, _WEAK_STD, known[SIZES])})
             scales = np.exp(values[place])
             pairs += [*zip(scales[asked], (scales * np.sqrt(np.diag(covariance)[place]))[asked], strict=True)]
         return cls(*(float(value) for pair in pairs for value in pair))

@@ -16,7 +16,7 @@ from dvrk_cmaes.pose.covariance import pose_covariance
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.judge import judge
 from dvrk_cmaes.pose.probability import mode_probability
-from dvrk_cmaes.pose.quality import Overlap, measure_modes, pooled_quality
+from dvrk_cmaes.pose.quality import measure_views, pooled_quality
 from dvrk_cmaes.pose.refine.coarse_to_fine import LocalSearch
 from dvrk_cmaes.pose.refine.gauss_newton import Fit
 from dvrk_cmaes.pose.search.global_search import find_candidates
@@ -86,8 +86,9 @@ def find_pose(
         modes, rotations = local.refine(candidates)
         best = modes[0]
         at = Posed.stacked([mode.at for mode in modes])
-        of_views, others, confirming = measure_modes(views, readings, at, config)
-        pooled = pooled_quality(of_views)
+        of_modes, confirming = measure_views(views, readings, at, config, traced=1)
+        of_views = [qualities[0] for qualities in of_modes]
+        pooled, *others = map(pooled_quality, zip(*of_modes, strict=True))
         rays += confirming
         covariance = pose_covariance(modes, pooled)
         probability = mode_probability(modes, expected_error(instrument, best.at, covariance).of_tips_mm)
@@ -140,18 +141,18 @@ def _lacks_fit(qualities: Sequence[Quality], of_mode: float, trust: TrustConfig,
 
 
 def _alternatives(
-    instrument: Instrument, readings: Readings, modes: Sequence[Fit], overlaps: Sequence[Overlap]
+    instrument: Instrument, readings: Readings, modes: Sequence[Fit], qualities: Sequence[Quality]
 ) -> tuple[Alternative, ...]:
-    """Describe all modes of a frame but the first, with their overlaps, and how they relate to the first."""
+    """Describe all modes of a frame but the first, by their qualities, and how they relate to the first."""
     best = modes[0].at
     return tuple(
         Alternative(
             camera_from_root=mode.at.pose,
             joints=dict(zip(instrument.joint_names, mode.at.joints.tolist(), strict=True)),
-            loss=overlap.loss,
-            iou=overlap.iou,
+            loss=quality.loss,
+            iou=quality.iou,
             relation="mirror twin" if instrument.has_twin and is_twin(instrument, best, mode.at) else "other mode",
             reading_distance_deg=reading_distance(readings, mode.at.joints),
         )
-        for mode, overlap in zip(modes[1:], overlaps, strict=True)
+        for mode, quality in zip(modes[1:], qualities, strict=True)
     )

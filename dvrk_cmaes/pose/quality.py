@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -50,55 +50,26 @@ def _distal_error(evidence: Evidence, pose: Float64, signed: Float64) -> float:
     return float(np.sqrt(np.mean(np.minimum(np.abs(signed[distal]), _FARTHEST) ** 2)))
 
 
-def measure_quality(
-    view: FrameView, readings: Readings, at: Posed, config: EstimateConfig
-) -> tuple[list[Quality], int]:
-    """Measure overlap, losses and contour distances of C poses in one view at full image size.
+def measure_views(
+    views: Sequence[FrameView], readings: Readings, at: Posed, config: EstimateConfig, *, traced: int | None = None
+) -> tuple[list[list[Quality]], int]:
+    """Measure overlap, losses and contour distances of C poses in each view at full image size.
 
-    The silhouettes are rendered as masks and checked by ray tracing along their outlines. The distance field is
-    computed in a window around the mask and all silhouettes. Returns the quality of each pose and the number of rays
-    traced.
+    The silhouettes are rendered as masks; the first ``traced`` of each view, all by default, are checked by ray tracing
+    along their outlines. The distance field is computed in a window around the mask and all silhouettes. The readings
+    count in every view, so that the mean of the losses has them once. Returns a list of the poses' qualities for each
+    view, and the number of rays traced.
     """
-    seen = at.seen_from(view.view_from_camera)
-    masks = view.renderer.masks(seen.pose, seen.joints)
-    masks, rays = trace_near_outlines(view.renderer, seen.pose, seen.joints, masks)
-    terms = _losses(view, readings, seen, masks, config)
-    pairs = zip(_without_losses(view, seen, masks), terms, strict=True)
-    return [_with_losses(quality, of_pose, config) for quality, of_pose in pairs], rays
-
-
-@dataclass(frozen=True)
-class Overlap:
-    """What is stated of a mode beside the best one: the loss, and intersection over union of silhouette and mask."""
-
-    loss: float
-    iou: float
-
-
-def measure_modes(
-    views: Sequence[FrameView], readings: Readings, at: Posed, config: EstimateConfig
-) -> tuple[list[Quality], list[Overlap], int]:
-    """Measure the first of C poses in each view, and of each other one the mean overlap and loss of all views.
-
-    Silhouettes of the first pose, and readings, as in `measure_views`; those of the others are not traced. Returns the
-    quality of the first pose in each view, the overlaps of the C - 1 others, and the number of rays traced.
-    """
-    best, others, rays = [], [], 0
+    of_views, rays = [], 0
     for view in views:
         seen = at.seen_from(view.view_from_camera)
-        masks = view.renderer.masks(seen.pose, seen.joints)
-        masks[:1], traced = trace_near_outlines(view.renderer, seen.pose[:1], seen.joints[:1], masks[:1])
+        masks, first = view.renderer.masks(seen.pose, seen.joints), slice(traced)
+        masks[first], count = trace_near_outlines(view.renderer, seen.pose[first], seen.joints[first], masks[first])
         terms = _losses(view, readings, seen, masks, config)
-        (quality,) = _without_losses(view, seen[:1], masks[:1])
-        best.append(_with_losses(quality, terms[0], config))
-        losses = [float(of_pose.total(config.weights)[0]) for of_pose in terms[1:]]
-        others.append([Overlap(*pair) for pair in zip(losses, _overlaps(view.evidence, masks[1:]), strict=True)])
-        rays += traced
-    mean = [
-        Overlap(float(np.mean([one.loss for one in of_mode])), float(np.mean([one.iou for one in of_mode])))
-        for of_mode in zip(*others, strict=True)
-    ]
-    return best, mean, rays
+        pairs = zip(_without_losses(view, seen, masks), terms, strict=True)
+        of_views.append([_with_losses(quality, of_pose, config) for quality, of_pose in pairs])
+        rays += count
+    return of_views, rays
 
 
 def _with_losses(quality: Quality, terms: Terms, config: EstimateConfig) -> Quality:
@@ -176,14 +147,6 @@ def _window(evidence: Evidence, masks: Bool) -> tuple[slice, slice]:
     return np.s_[low[0] : high[0], low[1] : high[1]]
 
 
-def _overlaps(evidence: Evidence, masks: Bool) -> list[float]:
-    """Return the intersection over union of each of C silhouettes (C, H, W) and the mask, without ignored pixels."""
-    if not len(masks):
-        return []
-    window = _window(evidence, masks)
-    return [evidence.overlap_with(silhouette, window) for silhouette in masks]
-
-
 def _without_losses(view: FrameView, seen: Posed, masks: Bool) -> list[Quality]:
     """Measure C poses in a view's camera, whose silhouettes are ``masks`` (C, H, W), but for their losses."""
     evidence, renderer = view.evidence, view.renderer
@@ -209,17 +172,6 @@ def _without_losses(view: FrameView, seen: Posed, masks: Bool) -> list[Quality]:
             )
         )
     return qualities
-
-
-def measure_views(
-    views: Sequence[FrameView], readings: Readings, at: Posed, config: EstimateConfig
-) -> tuple[list[list[Quality]], int]:
-    """Measure the quality of each of C poses in each view; returns a list of the poses' for each view, and the rays.
-
-    The readings count in every view, so that the mean of the losses has them once.
-    """
-    of_views = [measure_quality(view, readings, at, config) for view in views]
-    return [qualities for qualities, _ in of_views], sum(rays for _, rays in of_views)
 
 
 def pooled_quality(qualities: Sequence[Quality]) -> Quality:
