@@ -124,7 +124,7 @@ def test_fields_of_result_are_explained() -> None:
 def test_fields_of_calibration_are_explained() -> None:
     explained = quoted(section(REFERENCE["results"], "session.json"))
     document = SessionCalibration("", np.eye(4), {}, (), np.eye(6), np.eye(6), {}).to_dict()
-    inner = {name for key in ("std", "covariance", "quality") for name in document[key]}
+    inner = {name for key in ("std", "covariance") for name in document[key]}
     assert {*document, *inner} <= explained
 
 

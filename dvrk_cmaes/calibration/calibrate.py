@@ -18,6 +18,7 @@ from dvrk_cmaes.calibration.document import SessionCalibration, describe_solutio
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.frame_task import (
     NOT_READ,
+    Agreement,
     FrameReport,
     LeaveOneOutPrediction,
     ReportTask,
@@ -192,7 +193,7 @@ def _stated(
     qualities = [one.quality for one in used if one.quality is not None]
     endoscope = _endoscope(arm, check)
     described = describe_solution(arm.model, arm.solution, check.covariance, settings)
-    described["untold"] += _undetermined(arm, endoscope, commanded)
+    described["undetermined"] += _undetermined(arm, endoscope, commanded)
     left_out_predictions = {name: one for name, one in predicted.items() if name in frames}
     return SessionCalibration(
         instrument=instrument.name,
@@ -200,7 +201,7 @@ def _stated(
         roll_offset=instrument.roll_offset,
         frames=frames,
         left_out=dict(sorted(left_out.items())),
-        leave_one_out={name: (one.iou, one.contour_px) for name, one in left_out_predictions.items()},
+        leave_one_out={name: Agreement(one.iou, one.contour_px) for name, one in left_out_predictions.items()},
         leave_one_out_of_views=_of_views(left_out_predictions),
         iou=float(np.median([quality.iou for quality in qualities])) if qualities else 0.0,
         contour_px_95=float(np.median([quality.contour_px_95 for quality in qualities])) if qualities else 0.0,
@@ -224,7 +225,7 @@ def _stated(
 
 def _undetermined(arm: ArmSession, endoscope: SessionEndoscope | None, commanded: Sequence[str]) -> tuple[str, ...]:
     """Return what a session does not determine, beside base and offsets; ``commanded`` are joints that never move."""
-    texts = [*arm.undetermined, *([] if endoscope is None else endoscope.untold)]
+    texts = [*arm.undetermined, *([] if endoscope is None else endoscope.undetermined)]
     if arm.lag.lag is None:
         texts.append(f"lag between images and readings: {arm.lag.undetermined}")
     if commanded:
@@ -243,7 +244,7 @@ def _remarks(arm: ArmSession, used: Sequence[Result], commanded: Sequence[str]) 
     )
 
 
-def _of_views(predicted: Mapping[str, LeaveOneOutPrediction]) -> dict[str, dict[str, tuple[float, float]]]:
+def _of_views(predicted: Mapping[str, LeaveOneOutPrediction]) -> dict[str, dict[str, Agreement]]:
     """Return the predictions of frames in each view of a rig, by view and frame; empty of one view."""
     views = dict.fromkeys(view for one in predicted.values() for view in one.views)
     if len(views) < 2:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from msgspec import Struct
 
 from dvrk_cmaes.calibration.blocks import BASE_AXES, OBSERVABLE, OUTER_OFFSETS, Calibration, FoundBlock
 from dvrk_cmaes.calibration.cables import SessionCables
 from dvrk_cmaes.calibration.endoscope import InFrames
+from dvrk_cmaes.calibration.frame_task import Agreement
 from dvrk_cmaes.calibration.lag import LagCurve
 from dvrk_cmaes.calibration.model import (
     Correction,
@@ -54,37 +54,14 @@ from dvrk_cmaes.io.typed_document import (
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.pose.camera_errors import file_covariance
 
-SCHEMA = 2
+SCHEMA = 3
 CALIBRATION_EXPECTED = "a SessionCalibration (dvrk_cmaes.read_calibration reads one)"
 """What messages about arguments say of the type."""
+_OTHERWISE = {"axes", "covariance", "covariance_given_camera", "seconds", "config"}
+"""Fields that the document has in another form."""
 # standard deviations above which a part of the calibration is reported as not determined
 _UNDETERMINED_POSITION = 5e-3  # of the base, m
 _ELSEWHERE = np.deg2rad(30.0)  # from the only reading of a joint, where its offset says nothing any more
-
-
-class _LeftOut(Struct):
-    frame: str = ""
-    reason: str = ""
-
-
-class _LeaveOneOut(Struct):
-    iou: Number
-    contour_px: Number
-
-
-class _Quality(Struct):
-    iou: Number
-    contour_px_95: Number
-
-
-class _Parts(Struct):
-    """Fields of the document whose layout differs from that of `SessionCalibration`."""
-
-    offsets: dict[str, Number]
-    quality: _Quality
-    left_out: tuple[_LeftOut, ...] = ()
-    leave_one_out: dict[str, _LeaveOneOut] = {}
-    leave_one_out_of_views: dict[str, dict[str, _LeaveOneOut]] = {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,8 +76,7 @@ class SessionCalibration:
     images of the same camera, to which the latter are added.
     spreads : standard deviations from frame to frame, by joint and of the pose's ``slack``, rad and m.
     frames : names of the frames used. left_out : reasons for leaving out the others, by frame.
-    leave_one_out : by frame, IoU and median contour distance, px, between its mask and the silhouette at the pose that
-    the other frames predict.
+    leave_one_out : by frame, how its mask agrees with the silhouette at the pose that the other frames predict.
     leave_one_out_of_views : the same in each view of a rig by itself, by view and frame; empty of a single camera.
     iou, contour_px_95 : medians over the frames used, of the silhouettes at the poses of the joint solution.
     lag : lag of the images behind the readings; None if the session does not determine it.
@@ -117,7 +93,7 @@ class SessionCalibration:
     endoscope : where an endoscope that moved stood, and the camera in its tip; None if it stood still. The base is then
     that at the reference place.
     commanded : the only reading, rad, of each joint whose readings never move while the arm does; offsets hold there.
-    untold : descriptions of what the session does not determine.
+    undetermined : descriptions of what the session does not determine.
     doubts : what is wrong with the session as a whole and was not put right: every result that rests on it is doubtful.
     remarks : what was found and put right, or is unusual, as of the camera's file; they make nothing doubtful.
     """
@@ -131,8 +107,8 @@ class SessionCalibration:
     spreads: dict[str, PositiveNumber]
     frames: Texts = ()
     left_out: dict[str, str] = field(default_factory=dict)
-    leave_one_out: dict[str, tuple[float, float]] = field(default_factory=dict)
-    leave_one_out_of_views: dict[str, dict[str, tuple[float, float]]] = field(default_factory=dict)
+    leave_one_out: dict[str, Agreement] = field(default_factory=dict)
+    leave_one_out_of_views: dict[str, dict[str, Agreement]] = field(default_factory=dict)
     iou: Number = 0.0
     contour_px_95: Number = 0.0
     lag: Lag | None = None
@@ -149,7 +125,7 @@ class SessionCalibration:
     views: tuple[ViewDocument, ...] = ()
     endoscope: SessionEndoscope | None = None
     commanded: dict[str, Number] = field(default_factory=dict)
-    untold: Texts = ()
+    undetermined: Texts = ()
     doubts: Texts = ()
     remarks: Texts = ()
     arm: Arm = "classic"
@@ -190,14 +166,12 @@ class SessionCalibration:
     @property
     def predicted_iou(self) -> float:
         """Mean overlap of the frames' masks with what the other frames predict of them; 1 if none was predicted."""
-        overlaps = [iou for iou, _ in self.leave_one_out.values()]
-        return float(np.mean(overlaps)) if overlaps else 1.0
+        return float(np.mean([one.iou for one in self.leave_one_out.values()] or [1.0]))
 
     @property
     def predicted_px(self) -> float:
         """Median distance, px, of the frames' contours from what the other frames predict; 0 if none was predicted."""
-        distances = [px for _, px in self.leave_one_out.values()]
-        return float(np.median(distances)) if distances else 0.0
+        return float(np.median([one.contour_px for one in self.leave_one_out.values()] or [0.0]))
 
     @property
     def applied_lag(self) -> Lag | None:
@@ -232,7 +206,7 @@ class SessionCalibration:
         std = np.sqrt(np.diag(self.covariance))
         return {
             "schema": SCHEMA,
-            **encoded_fields(self, "status", "instrument", "camera_from_base", "rcm", "offsets"),
+            **encoded_fields(self, "status", "rcm"),
             "std": {
                 "base_translation_mm": rounded_array(std[:3] * 1e3),
                 "base_rotation_deg": rounded_array(np.degrees(std[3:6])),
@@ -243,17 +217,9 @@ class SessionCalibration:
                 "matrix": rounded_matrix(self.covariance),
                 "given_camera": rounded_matrix(self.covariance_given_camera),
             },
-            **encoded_fields(self, "spreads", "untold", "doubts", "remarks", "warnings", "frames"),
-            "left_out": [{"frame": name, "reason": reason} for name, reason in self.left_out.items()],
-            "leave_one_out": _predictions(self.leave_one_out),
-            "leave_one_out_of_views": {view: _predictions(own) for view, own in self.leave_one_out_of_views.items()},
-            "quality": encoded_fields(self, "iou", "contour_px_95"),
-            **encoded_fields(self, "lag", "lag_curve", "cables", "camera", "camera_errors", "shaft", "masks", "blocks"),
-            **encoded_fields(self, "rig", "views", "endoscope", "commanded", "arm"),
-            "roll_offset": self.roll_offset,
+            "warnings": list(self.warnings),
+            **encoded_fields(self, *(one.name for one in fields(self) if one.name not in _OTHERWISE)),
             "seconds": round(self.seconds, 3),
-            "seed": self.seed,
-            "version": self.version,
             "config": self.config,
         }
 
@@ -278,26 +244,21 @@ class SessionCalibration:
             got = "none" if schema is None else shown(schema)
             again = "calibrate again: dvrk-cmaes calibrate FOLDER"
             raise InputError(f"{where}: schema: expected {SCHEMA}, got {got}; {again}")
-        parts = convert_document(where, fields, _Parts)
-        axes = (*BASE_AXES, *parts.offsets)
-        covariance = read_covariance(where, fields.get("covariance"), axes)
-        fields |= {
-            "axes": axes,
-            "covariance": covariance,
-            "covariance_given_camera": read_covariance(where, fields["covariance"], axes, "given_camera"),
-            "left_out": {one.frame: one.reason for one in parts.left_out},
-            "leave_one_out": _pairs(parts.leave_one_out),
-            "leave_one_out_of_views": {view: _pairs(own) for view, own in parts.leave_one_out_of_views.items()},
-            "iou": parts.quality.iou,
-            "contour_px_95": parts.quality.contour_px_95,
-        }
-        endoscope = SessionEndoscope.from_document(where, fields.pop("endoscope", None), len(axes))
-        fields.pop("warnings", None)
-        found = replace(convert_document(where, fields, cls), endoscope=endoscope)
+        covariance, endoscope = fields.pop("covariance", None), fields.pop("endoscope", None)
+        without = {"axes": (), "covariance": np.zeros((0, 0)), "covariance_given_camera": np.zeros((0, 0))}
+        found = convert_document(where, {**fields, **without}, cls)
+        axes = (*BASE_AXES, *found.offsets)
+        found = replace(
+            found,
+            axes=axes,
+            covariance=read_covariance(where, covariance, axes),
+            covariance_given_camera=read_covariance(where, covariance, axes, "given_camera"),
+            endoscope=SessionEndoscope.from_document(where, endoscope, len(axes)),
+        )
         if found.lag is not None and found.lag.frames is None and found.lag.seconds is None:
             raise refused(where, "lag", "frames or seconds", fields["lag"])
         if found.cables is not None:
-            found.cables.check(where, tuple(parts.offsets)[1:])
+            found.cables.check(where, tuple(found.offsets)[1:])
         if found.masks is not None:
             found.masks.check(where, len(found.whole_covariance))
         return found
@@ -402,16 +363,6 @@ class SessionCalibration:
         return np.column_stack([np.ones(len(joints)), np.sqrt(1 + (away / std) ** 2)])
 
 
-def _predictions(pairs: Mapping[str, tuple[float, float]]) -> dict[str, Any]:
-    """Return predictions of frames, IoU and px, as the document has them."""
-    return {name: {"iou": rounded(iou), "contour_px": rounded(px)} for name, (iou, px) in pairs.items()}
-
-
-def _pairs(predictions: Mapping[str, _LeaveOneOut]) -> dict[str, tuple[float, float]]:
-    """Return predictions of frames, IoU and px, of a document."""
-    return {name: (one.iou, one.contour_px) for name, one in predictions.items()}
-
-
 def describe_solution(
     model: SessionModel, solution: Solved, of_camera: Float64, config: EstimateConfig
 ) -> dict[str, Any]:
@@ -436,7 +387,7 @@ def describe_solution(
         "covariance": covariance,
         "covariance_given_camera": given_camera,
         "spreads": replace(deviations, outer=outer, joints=uncorrected[1:]).by_name(model.names),
-        "untold": tuple(_undetermined(std, names, config)),
+        "undetermined": tuple(_undetermined(std, names, config)),
         "seed": config.seed,
     }
 

@@ -153,7 +153,7 @@ def ends_missing(missing: Sequence[bool]) -> str | None:
 
 def camera_untestable(calibration: SessionCalibration) -> str | None:
     """Judge the number of frames that fit no plausible camera."""
-    if IMPLAUSIBLE in calibration.untold and len(calibration.frames) >= _SHOW_THE_CAMERA:
+    if IMPLAUSIBLE in calibration.undetermined and len(calibration.frames) >= _SHOW_THE_CAMERA:
         return (
             "the camera file cannot be tested: many frames, which fit none that is plausible; their masks are wrong "
             "alike, the readings are, or the base moved"

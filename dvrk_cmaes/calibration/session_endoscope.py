@@ -176,8 +176,8 @@ class SessionEndoscope:
         return max((one.place for one in self.bases), default=0)
 
     @property
-    def untold(self) -> list[str]:
-        """Descriptions of what the motions do not tell."""
+    def undetermined(self) -> list[str]:
+        """Descriptions of what the motions do not determine."""
         texts = []
         std = np.array(self.std_tip_from_camera)
         if len(std) and std[3:].max() > UNDETERMINED_ROTATION:

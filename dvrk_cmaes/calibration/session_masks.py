@@ -136,8 +136,8 @@ class SessionMasks(Document):
     margin_px : by how much the masks are too wide all round; negative if too narrow. std_margin_px : its standard
     deviation. applied : whether the session was solved with masks less this margin. In a session of several views it is
     estimated in the first one.
-    growth_px : mean errors, px, of both sides of the shaft (to the right of its direction towards the tip in the image,
-    and to the left) and of what faces right, left, down and up, none below 0. rms_growth_px : the roots of their mean
+    bias_px : mean errors, px, of both sides of the shaft (to the right of its direction towards the tip in the image,
+    and to the left) and of what faces right, left, down and up, none below 0. rms_bias_px : the roots of their mean
     squares, with what is not known of them. error_squares : the mean squares (7, 7), px^2, of the margin that is left
     and of these errors. by_errors : what each of them, per px, does to the calibration, in the order of its covariance.
     """
@@ -145,8 +145,8 @@ class SessionMasks(Document):
     margin_px: Number
     std_margin_px: Number
     applied: bool
-    growth_px: tuple[Number, ...] = ()
-    rms_growth_px: tuple[Number, ...] = ()
+    bias_px: tuple[Number, ...] = ()
+    rms_bias_px: tuple[Number, ...] = ()
     error_squares: tuple[tuple[Number, ...], ...] = ()
     by_errors: tuple[tuple[Number, ...], ...] = ()
 
@@ -158,8 +158,8 @@ class SessionMasks(Document):
             return stated
         return replace(
             stated,
-            growth_px=tuple(bias.px.tolist()),
-            rms_growth_px=tuple(np.sqrt(np.diag(bias.squares)[1:]).tolist()),
+            bias_px=tuple(bias.px.tolist()),
+            rms_bias_px=tuple(np.sqrt(np.diag(bias.squares)[1:]).tolist()),
             error_squares=_rows(bias.squares),
             by_errors=_rows(bias.of_calibration),
         )
@@ -214,8 +214,8 @@ class SessionMasks(Document):
         """Describe the margin and the errors on one side in words."""
         than, done = "wide" if self.margin_px > 0 else "narrow", "taken off" if self.applied else "left as they are"
         parts = [f"masks are {abs(self.margin_px):.2f} px (std {self.std_margin_px:.2f}) too {than} all round; {done}"]
-        if self.rms_growth_px:
-            parts.append(f"those that all masks share on one side are up to {max(self.rms_growth_px):.1f} px")
+        if self.rms_bias_px:
+            parts.append(f"those that all masks share on one side are up to {max(self.rms_bias_px):.1f} px")
         return "; ".join(parts)
 
 

@@ -343,7 +343,7 @@ def _lag(text: str | None, calibration: Path | None) -> tuple[Lag | None, str]:
         return None, ""
     found = read_calibration(calibration)
     if found.lag is None:
-        why = next((text for text in found.untold if text.startswith("lag")), "lag: not determined")
+        why = next((text for text in found.undetermined if text.startswith("lag")), "lag: not determined")
         return None, f"{calibration}: {why}: none is taken out"
     if found.applied_lag is None:
         said = f"zero within its standard deviation ({found.lag.describe()}): none is taken out"

@@ -207,8 +207,8 @@ def _lines(result: Result, calibration: SessionCalibration | None) -> Iterator[s
         if result.frame in calibration.left_out:
             yield f"left out of the calibration: {calibration.left_out[result.frame]}"
         if result.frame in calibration.leave_one_out:
-            iou, contour = calibration.leave_one_out[result.frame]
-            yield f"predicted by the others: IoU {iou:.3f}, outline {contour:.1f} px"
+            one = calibration.leave_one_out[result.frame]
+            yield f"predicted by the others: IoU {one.iou:.3f}, outline {one.contour_px:.1f} px"
 
 
 # the calibration
@@ -225,7 +225,8 @@ def _calibration_parts(folder: ResultsFolder, found: SessionCalibration) -> Iter
         tables=list(calibration_tables(found)),
         charts=[_lag_chart(found)],
     )
-    predictions = sorted((iou, name, px) for name, (iou, px) in found.leave_one_out.items() if name in folder.frames)
+    predicted = {name: one for name, one in found.leave_one_out.items() if name in folder.frames}
+    predictions = sorted((one.iou, name, one.contour_px) for name, one in predicted.items())
     if not predictions:
         return
     table = []

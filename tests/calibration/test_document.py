@@ -17,6 +17,7 @@ from helpers.session_worlds import make_world
 
 from dvrk_cmaes import InputError, Lag, SessionCalibration, read_calibration
 from dvrk_cmaes.calibration.blocks import BASE_AXES
+from dvrk_cmaes.calibration.frame_task import Agreement
 from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation
@@ -49,15 +50,15 @@ def calibration() -> SessionCalibration:
         spreads=SPREADS,
         frames=("0000", "0002"),
         left_out={"0001": "disagrees with the session"},
-        leave_one_out={"0000": (0.93, 1.5), "0002": (0.9, 2.25)},
-        leave_one_out_of_views={"left": {"0000": (0.95, 1.25)}, "right": {"0000": (0.91, 1.75), "0002": (0.9, 2.25)}},
+        leave_one_out={"0000": Agreement(0.93, 1.5), "0002": Agreement(0.9, 2.25)},
+        leave_one_out_of_views={"right": {"0000": Agreement(0.91, 1.75), "0002": Agreement(0.9, 2.25)}},
         iou=0.95,
         contour_px_95=2.5,
         lag=Lag(2.0, 0.25, 0.066667, 0.008),
         camera=SessionCamera(1.02, 0.01, (3.0, -4.5), (6.0, 7.0), contradicts=False, applied=True, width=640),
         masks=SessionMasks(0.4, 0.1, applied=True),
         rig=(ViewRotation("right", np.array([0.1, 0.0, 0.3]), np.array([0.01, 0.02, 0.03]), 12, applied=True),),
-        untold=("offset of insertion",),
+        undetermined=("offset of insertion",),
         doubts=("the camera file is contradicted",),
         remarks=("readings come 2 frames late",),
         arm="si",
@@ -87,7 +88,7 @@ def test_written_calibration_is_read_back(tmp_path: Path) -> None:
         "leave_one_out_of_views",
         "lag",
         "camera",
-        "untold",
+        "undetermined",
         "doubts",
         "remarks",
         "arm",
@@ -126,9 +127,9 @@ def test_document_has_documented_fields() -> None:
         "version",
         "config",
     } <= set(document)
-    assert document["schema"] == 2
+    assert document["schema"] == 3
     assert document["rcm"] == [row[3] for row in document["camera_from_base"][:3]]
-    assert document["left_out"] == [{"frame": "0001", "reason": "disagrees with the session"}]
+    assert document["left_out"] == {"0001": "disagrees with the session"}
     assert document["leave_one_out"]["0002"] == {"iou": 0.9, "contour_px": 2.25}
     assert document["covariance"]["axes"] == ["tx", "ty", "tz", "rx", "ry", "rz", *OFFSETS]
     variance = np.diag(document["covariance"]["matrix"])
@@ -178,15 +179,15 @@ def put(*path: str, value: object) -> Damage:
             "covariance.axes: expected tx, ty, tz, rx, ry, rz, insertion, roll, wrist_pitch, wrist_yaw, jaw, "
             "got ['tx']",
         ),
-        (put("schema", value=1), "schema: expected 2, got 1; calibrate again: dvrk-cmaes calibrate FOLDER"),
-        (put("schema", value=None), "schema: expected 2, got none; calibrate again: dvrk-cmaes calibrate FOLDER"),
+        (put("schema", value=2), "schema: expected 3, got 2; calibrate again: dvrk-cmaes calibrate FOLDER"),
+        (put("schema", value=None), "schema: expected 3, got none; calibrate again: dvrk-cmaes calibrate FOLDER"),
         (put("lag", value={"applied": True}), "lag: expected frames or seconds, got {'applied': True}"),
         (put("spreads", "roll", value=0.0), "spreads.roll: expected a number above 0, got 0.0"),
         (put("covariance", value=[]), "covariance: expected an object, got []"),
         (put("spreads", value=None), "spreads: expected an object, got nothing"),
-        (put("quality", "iou", value=None), "quality.iou: expected a finite number, got nothing"),
+        (put("iou", value="high"), "iou: expected a finite number, got 'high'"),
         (put("arm", value="xi"), "arm: expected one of si, classic, got 'xi'"),
-        (put("left_out", value=["0001"]), "left_out[0]: expected an object, got '0001'"),
+        (put("left_out", value=["0001"]), "left_out: expected an object, got ['0001']"),
         (put("leave_one_out", "0000", value=1), "leave_one_out.0000: expected an object, got 1"),
         (put("frames", value="0000"), "frames: expected a list of texts, got '0000'"),
         (put("seed", value=-1), "seed: expected a whole number of at least 0, got -1"),

@@ -189,7 +189,7 @@ def test_document_gives_each_frame_its_base(world: Steered40, found: tuple[Sessi
     std, still = (np.sqrt(np.diag(one.covariance)[3:6]).max() for one in (moving, session))
     assert std > still
     assert "no reading of ecm_yaw" in str(session.at({"yaw": 0.1}))
-    assert any("ecm_yaw" in text for text in session.endoscope.untold)
+    assert any("ecm_yaw" in text for text in session.endoscope.undetermined)
 
 
 @pytest.mark.parametrize(

@@ -74,9 +74,9 @@ def calibrations(bundled_body: Body) -> dict[int, tuple[SessionCalibration, floa
 def test_shadows_are_stated_in_the_masks(calibrations: dict[int, tuple[SessionCalibration, float]]) -> None:
     masks = calibrations[3][0].masks
     assert masks is not None
-    assert masks.rms_growth_px[RIGHT] == pytest.approx(max(masks.rms_growth_px), abs=0.01)
-    assert masks.rms_growth_px[RIGHT] > 0.2
-    assert min(masks.growth_px) >= 0
+    assert masks.rms_bias_px[RIGHT] == pytest.approx(max(masks.rms_bias_px), abs=0.01)
+    assert masks.rms_bias_px[RIGHT] > 0.2
+    assert min(masks.bias_px) >= 0
 
 
 def test_shadows_widen_what_is_known_and_exact_masks_do_not(
@@ -85,8 +85,8 @@ def test_shadows_widen_what_is_known_and_exact_masks_do_not(
     exact, dark = calibrations[0][0], calibrations[3][0]
     assert exact.masks is not None
     assert dark.masks is not None
-    assert max(exact.masks.rms_growth_px) < 0.15
-    assert max(dark.masks.rms_growth_px) > 2 * max(exact.masks.rms_growth_px)
+    assert max(exact.masks.rms_bias_px) < 0.15
+    assert max(dark.masks.rms_bias_px) > 2 * max(exact.masks.rms_bias_px)
     assert np.trace(dark.covariance[:3, :3]) > 1.2 * np.trace(exact.covariance[:3, :3])
     assert calibrations[3][1] < 3
 

@@ -11,6 +11,7 @@ from helpers.page_calibrations import calibration, solved
 from helpers.session_worlds import SMALL, make_frames_in_memory
 
 from dvrk_cmaes import Body, FrameData, SessionCalibration, SessionFrame, TrackResult, calibrate_session
+from dvrk_cmaes.calibration.frame_task import Agreement
 from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG
 from dvrk_cmaes.calibration.session_camera import IMPLAUSIBLE, SessionCamera
 from dvrk_cmaes.calibration.session_doubts import (
@@ -26,7 +27,7 @@ from dvrk_cmaes.pose.judge import far_joints
 from dvrk_cmaes.synth.truth import Truth
 
 FRAMES = ("0000", "0001", "0002")
-BADLY = {"0000": (0.62, 9.0), "0001": (0.66, 8.0)}
+BADLY = {"0000": Agreement(0.62, 9.0), "0001": Agreement(0.66, 8.0)}
 LONGER = SessionCamera(1.2, 0.02, (0.0, 0.0), (6.0, 7.0), contradicts=True, applied=False, width=640)
 PREDICTS = "this calibration predicts frames badly that it has not seen: IoU 0.64 by the other frames, 0.95 by their "
 
@@ -51,11 +52,11 @@ def test_bad_predictions_are_a_doubt() -> None:
 
 
 def test_contours_far_from_predictions_are_a_doubt_in_pixels_that_grow_with_the_image() -> None:
-    far = session(leave_one_out=dict.fromkeys(FRAMES, (0.9, 7.9)))
+    far = session(leave_one_out=dict.fromkeys(FRAMES, Agreement(0.9, 7.9)))
     (text,) = doubts_of(far, pixel_scale=3.0)
     assert text.startswith("this calibration predicts frames badly that it has not seen: IoU 0.90 by the other frames")
     assert "contour 7.9 px off, expected at most 7.5 px" in text
-    assert doubts_of(session(leave_one_out=dict.fromkeys(FRAMES, (0.9, 4.0))), pixel_scale=3.0) == ()
+    assert doubts_of(session(leave_one_out=dict.fromkeys(FRAMES, Agreement(0.9, 4.0))), pixel_scale=3.0) == ()
 
 
 def test_lag_that_leaves_half_of_the_frames_without_readings_is_a_doubt() -> None:
@@ -71,11 +72,11 @@ def test_few_frames_that_agree_are_a_doubt() -> None:
 
 
 def test_camera_that_many_frames_cannot_test_is_a_doubt() -> None:
-    many = session(frames=tuple(f"{k:04d}" for k in range(40)), untold=(IMPLAUSIBLE,))
+    many = session(frames=tuple(f"{k:04d}" for k in range(40)), undetermined=(IMPLAUSIBLE,))
     (text,) = doubts_of(many)
     assert text.startswith("the camera file cannot be tested: many frames, which fit none that is plausible; ")
     assert doubts_of(replace(many, frames=many.frames[:30])) == ()
-    assert doubts_of(replace(many, untold=("camera: not tested, as the settings say",))) == ()
+    assert doubts_of(replace(many, undetermined=("camera: not tested, as the settings say",))) == ()
 
 
 def test_contradicted_camera_is_a_doubt_unless_it_is_put_right() -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from dvrk_cmaes import Result, SessionCalibration
 from dvrk_cmaes.calibration.blocks import BASE_AXES
 from dvrk_cmaes.calibration.cables import CablesAlone, SessionCables
+from dvrk_cmaes.calibration.frame_task import Agreement
 from dvrk_cmaes.draw.track_overlay import draw_outlines
 from dvrk_cmaes.instrument.arm import base_from_root
 from dvrk_cmaes.results.paths import left_out_path
@@ -55,7 +56,7 @@ def calibration(frames: Sequence[Result], **changes: object) -> SessionCalibrati
         covariance_given_camera=np.diag([*BASE_STD, *STD.values()]) ** 2,
         spreads={**SPREADS, "slack_translation": 2e-4, "slack_rotation": 2e-3},
         frames=tuple(frame.frame for frame in frames),
-        leave_one_out={frame.frame: (0.8 + 0.01 * k, 3.0 - 0.1 * k) for k, frame in enumerate(frames)},
+        leave_one_out={frame.frame: Agreement(0.8 + 0.01 * k, 3.0 - 0.1 * k) for k, frame in enumerate(frames)},
         iou=0.96,
         contour_px_95=2.1,
         roll_offset=ROLL_OFFSET,

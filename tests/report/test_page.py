@@ -133,7 +133,7 @@ def test_warning_of_all_frames_is_shown_once_for_all(tmp_path: Path) -> None:
 def test_doubts_of_a_calibration_come_first_and_what_it_cannot_tell_is_said(tmp_path: Path) -> None:
     frames = solved(NAMES)
     words = {
-        "untold": ("offset of <b>roll</b>: standard deviation 10.9 deg",),
+        "undetermined": ("offset of <b>roll</b>: standard deviation 10.9 deg",),
         "doubts": ("the arm's base or the camera moved between frames b and c",),
         "lag": Lag(2.0, 0.1, 0.08, 0.004),
         "left_out": {"e": "its mask is of another arm"},

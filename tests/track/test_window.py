@@ -25,7 +25,7 @@ def calibration(response: np.ndarray | None, px: float = 0.5) -> SessionCalibrat
     masks = SessionMasks(0.0, 0.0, applied=False)
     if response is not None:
         rows = [tuple(map(tuple, matrix.tolist())) for matrix in (squares, response)]
-        masks = replace(masks, growth_px=(0.0,) * 6, error_squares=rows[0], by_errors=rows[1])
+        masks = replace(masks, bias_px=(0.0,) * 6, error_squares=rows[0], by_errors=rows[1])
     names = (*OUTER_OFFSETS, *NAMES)
     spreads = dict.fromkeys(("yaw", "pitch", "insertion", "roll", *NAMES, "slack_translation", "slack_rotation"), 1e-3)
     small = 1e-12 * np.eye(11)
