@@ -4,7 +4,7 @@
     python scripts/measure.py calibrate SESSION...   sessions solved together; bases of several arms
     python scripts/measure.py track FOLDER...        recordings, or folders of them, that are followed
     python scripts/measure.py benchmark run FOLDER   worlds of every kind, by the tasks of data/reference/benchmark.md;
-                                                     also draw, score, keep
+                                                     also draw, score
     python scripts/measure.py tips [SESSION]         tips of closed jaws on a board against the known ones; --images
     python scripts/measure.py pictures FRAMES        masks and poses found in images, of ../shared/frames
     python scripts/measure.py speed                  whole commands, with --against DIR those of another checkout, too
@@ -29,7 +29,7 @@ from typing import Final
 
 from measuring import live
 from measuring.accuracy import accuracy_report, write_figures
-from measuring.benchmark.command import add_options, benchmark_report
+from measuring.benchmark import add_options, benchmark_report
 from measuring.falsified import FALSIFIED, INPUTS
 from measuring.pages import write_pages
 from measuring.pictures import GROUPS, pictures_report

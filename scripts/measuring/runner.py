@@ -19,12 +19,13 @@ from dvrk_cmaes.cli import main
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.atomic import write_json
 
-Command = Literal["estimate", "calibrate", "track"]
+Command = Literal["estimate", "calibrate", "track", "pnp"]
 
 LINES: Final[Mapping[Command, tuple[str, ...]]] = {
     "estimate": ("batch", "--workers", "1"),
     "calibrate": ("calibrate", "--workers", "1"),
     "track": ("track", "--no-video", "--no-page"),
+    "pnp": ("pnp",),
 }
 """The command line that solves a folder: each frame by itself, all together, or as a recording that is followed."""
 

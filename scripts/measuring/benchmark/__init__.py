@@ -1,1 +1,0 @@
-"""A benchmark of instrument poses on made sessions with known truth: tasks, submissions, methods, scores."""
