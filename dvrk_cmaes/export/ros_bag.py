@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 BagKind = Literal["ros1-bag", "ros2-bag"]
 
 _ROS2_VERSION: Final = 8  # of metadata.yaml; ROS 2 Humble reads it too, unlike 9
-_ARRAYS: Final = {"position", "velocity", "effort"}  # number sequences of the types in use
+_ARRAYS: Final = {"position", "velocity", "effort", "covariance"}  # number sequences of the types in use
 _TF_DEFINITION: Final = "geometry_msgs/TransformStamped[] transforms"  # not among rosbags' types of ROS 1
 
 

@@ -9,10 +9,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
+import numpy as np
+
 from dvrk_cmaes.geometry import Float64, quaternion_xyzw
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 
 POSE_STAMPED: Final = "geometry_msgs/msg/PoseStamped"
+POSE_WITH_COVARIANCE: Final = "geometry_msgs/msg/PoseWithCovarianceStamped"
 JOINT_STATE: Final = "sensor_msgs/msg/JointState"
 TF_MESSAGE: Final = "tf2_msgs/msg/TFMessage"
 
@@ -38,6 +41,20 @@ def pose_message(topic: str, time: int, frame_id: str, pose: Float64) -> RosMess
     position, orientation = _vector_and_quaternion(pose)
     fields = {"header": header(time, frame_id), "pose": {"position": position, "orientation": orientation}}
     return RosMessage(topic, POSE_STAMPED, time, fields)
+
+
+def uncertain_pose_message(
+    topic: str, time: int, frame_id: str, pose: Float64, covariance: Float64 | None
+) -> RosMessage:
+    """Return the PoseWithCovarianceStamped of a pose (4, 4) in the frame ``frame_id``.
+
+    ``covariance`` (6 + J, 6 + J) is along and about the axes of that frame, m and rad, as ROS has it; zeros stand for
+    one that is not known.
+    """
+    plain = pose_message(topic, time, frame_id, pose).fields
+    matrix = np.zeros((6, 6)) if covariance is None else covariance[:6, :6]
+    fields = {"header": plain["header"], "pose": {"pose": plain["pose"], "covariance": matrix.ravel().tolist()}}
+    return RosMessage(topic, POSE_WITH_COVARIANCE, time, fields)
 
 
 def tf_message(time: int, poses: Mapping[tuple[str, str], Float64]) -> RosMessage:

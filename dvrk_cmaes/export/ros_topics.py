@@ -6,7 +6,7 @@ What the readings say has the names of the arm's own topics; what was found has 
 - ``/ARM/measured_cp`` (PoseStamped): the tool tip by the readings and the arm's kinematics, from ``camera_from_base``;
 - ``/ARM/measured_js`` and ``/ARM/jaw/measured_js`` (JointState): the readings;
 - ``/dvrk_cmaes/ARM/measured_cp`` (PoseStamped): the tool tip by the pose and the joints found;
-- ``/dvrk_cmaes/ARM/camera_from_root`` (PoseStamped): the pose of the root link;
+- ``/dvrk_cmaes/ARM/camera_from_root`` (PoseWithCovarianceStamped): the pose of the root link;
 - ``/dvrk_cmaes/ARM/measured_js`` (JointState): the joints found;
 - ``/tf``: the root link, and the arm's base where it is known, in the camera. Of an endoscope that moved and whose arm
   is read, the camera in ``ECM_tip``, and in ``ECM_base`` that and the bases of all arms.
@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.export.base_choice import ChosenBase
 from dvrk_cmaes.export.frames import FrameNames
-from dvrk_cmaes.export.ros_messages import RosMessage, joint_message, pose_message, tf_message
+from dvrk_cmaes.export.ros_messages import RosMessage, joint_message, pose_message, tf_message, uncertain_pose_message
 from dvrk_cmaes.geometry import Float64, inverse
 from dvrk_cmaes.instrument.arm import (
     ROLL_OFFSET,
@@ -122,7 +122,8 @@ def _read(
 def _found(result: Result, pose: Float64, time: int, names: FrameNames, tip: ToolTip) -> Iterator[RosMessage]:
     """Yield the messages of what was found in a frame, whose pose is (4, 4), m."""
     found = f"{FOUND}/{names.arm}"
-    yield pose_message(f"{found}/camera_from_root", time, names.camera, pose)
+    covariance = result.covariance_in_camera()
+    yield uncertain_pose_message(f"{found}/camera_from_root", time, names.camera, pose, covariance)
     root_from_found_tip = tip.in_root(result.joints)
     if root_from_found_tip is not None:
         yield pose_message(f"{found}/measured_cp", time, names.camera, pose @ root_from_found_tip)

@@ -69,7 +69,7 @@ _ROWS: Final = (
     ExportFormat(
         "ros1-bag",
         "camera_from_root and camera_from_base, m, quaternions xyzw: parent the camera",
-        "camera_from_root and camera_from_base, m, quaternions xyzw; ARM.bag with PoseStamped, JointState and tf "
+        "camera_from_root and camera_from_base, m, quaternions xyzw; ARM.bag with poses, JointState and tf "
         "messages for each frame; `dvrk-cmaes help exports` lists the topics. Needs the library rosbags.",
         "result_bag",
     ),

@@ -1,9 +1,9 @@
 """Publication of a followed instrument: its pose, joints, status and overlay.
 
-Topics, in the namespace ``/dvrk_cmaes/ARM``: ``camera_from_root`` (PoseStamped), ``measured_js`` (JointState, the
-corrected joints) and ``overlay/compressed`` (CompressedImage); and ``/tf`` and ``/diagnostics``. All have the time of
-the image. A lost instrument has a status, and no pose and joints. ``/tf`` has the root link in the camera, and with a
-pose that is ok the arm's base.
+Topics, in the namespace ``/dvrk_cmaes/ARM``: ``camera_from_root`` (PoseWithCovarianceStamped), ``measured_js``
+(JointState, the corrected joints) and ``overlay/compressed`` (CompressedImage); and ``/tf`` and ``/diagnostics``. All
+have the time of the image. A lost instrument has a status, and no pose and joints. ``/tf`` has the root link in the
+camera, and with a pose that is ok the arm's base.
 """
 
 from __future__ import annotations
@@ -21,7 +21,14 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.draw.canvas import Canvas
 from dvrk_cmaes.draw.panels import SILHOUETTE
 from dvrk_cmaes.export.frames import FrameNames
-from dvrk_cmaes.export.ros_messages import RosMessage, header, joint_message, pose_message, tf_message
+from dvrk_cmaes.export.ros_messages import (
+    POSE_WITH_COVARIANCE,
+    RosMessage,
+    header,
+    joint_message,
+    tf_message,
+    uncertain_pose_message,
+)
 from dvrk_cmaes.export.ros_topics import FOUND
 from dvrk_cmaes.live.connection import Connection
 from dvrk_cmaes.results.tracked import TrackResult
@@ -65,7 +72,7 @@ class Outputs:
         self._child = f"{names.arm}_{root_link}"
         self._namespace = f"{FOUND}/{names.arm}"
         topics = {
-            f"{self._namespace}/camera_from_root": "geometry_msgs/msg/PoseStamped",
+            f"{self._namespace}/camera_from_root": POSE_WITH_COVARIANCE,
             f"{self._namespace}/measured_js": "sensor_msgs/msg/JointState",
             f"{self._namespace}/overlay/compressed": _COMPRESSED,
             "/tf": "tf2_msgs/msg/TFMessage",
@@ -122,7 +129,8 @@ class Outputs:
         pose = result.camera_from_root
         if pose is None or result.status == "lost":
             return
-        yield pose_message(f"{self._namespace}/camera_from_root", time, self._names.camera, pose)
+        topic, covariance = f"{self._namespace}/camera_from_root", result.covariance_in_camera()
+        yield uncertain_pose_message(topic, time, self._names.camera, pose, covariance)
         children = {(self._names.camera, self._child): pose}
         if status == "ok" and result.camera_from_base is not None:
             children[self._names.camera, self._names.base] = result.camera_from_base

@@ -150,7 +150,7 @@ def _of_arm(robot: Robot, session: Path, arm: str, poses: Messages, statuses: Me
     """Count the statuses of an arm, and its ok poses in the wrong mode where there is a truth."""
     truths = goldens(session)
     golden = truths.get(arm, truths.get(None))
-    found, counts, wrong = {_key(fields): fields["pose"] for _, fields in poses}, Counter[str](), 0
+    found, counts, wrong = {_key(fields): fields["pose"]["pose"] for _, fields in poses}, Counter[str](), 0
     count = len(robot.session.frames)
     for _, fields in statuses:
         (status,) = fields["status"]

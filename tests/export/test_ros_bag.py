@@ -72,7 +72,8 @@ def matrix(position: Any, orientation: Any) -> np.ndarray:
 
 
 def poses(messages: Messages, topic: str) -> list[np.ndarray]:
-    return [matrix(message.pose.position, message.pose.orientation) for _, message in messages[topic]]
+    stated = [message.pose.pose if hasattr(message.pose, "pose") else message.pose for _, message in messages[topic]]
+    return [matrix(pose.position, pose.orientation) for pose in stated]
 
 
 @pytest.fixture

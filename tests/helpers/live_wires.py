@@ -51,7 +51,7 @@ class Stage(Connection):
 
     def publish(self, topic: str, fields: Mapping[str, Any]) -> bool:
         if topic.endswith("/camera_from_root"):
-            position, orientation = fields["pose"]["position"], fields["pose"]["orientation"]
+            position, orientation = fields["pose"]["pose"]["position"], fields["pose"]["pose"]["orientation"]
             pose = np.eye(4)
             pose[:3, :3] = Rotation.from_quat([orientation[axis] for axis in "xyzw"]).as_matrix()
             pose[:3, 3] = [position[axis] for axis in "xyz"]

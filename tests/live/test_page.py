@@ -121,7 +121,7 @@ def test_recording_that_is_played_is_followed(
     ran = run(f"dvrk-cmaes live --port {server.port} {robot.options}")
     playing.join(60)
     followed = int(re.findall(r"(\d+) images followed", ran.out)[0])
-    poses = [fields["pose"] for _, fields in server.received["/dvrk_cmaes/PSM1/camera_from_root"]]
+    poses = [fields["pose"]["pose"] for _, fields in server.received["/dvrk_cmaes/PSM1/camera_from_root"]]
     assert 0 < len(poses) <= followed <= 60
     truths = [truth.camera_from_root[:3, 3] for truth in robot.session.truth.frames.values()]
     found = np.array([poses[-1]["position"][axis] for axis in "xyz"])

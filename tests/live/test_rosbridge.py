@@ -51,6 +51,9 @@ class Step:
     tips: np.ndarray | None = None
     camera_from_base: np.ndarray | None = None
 
+    def covariance_in_camera(self) -> np.ndarray:
+        return np.eye(8)
+
 
 @dataclass
 class Recorder(Steps):

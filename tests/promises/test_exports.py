@@ -148,8 +148,11 @@ def test_ros_recording(calibrated: Path, base: np.ndarray, tmp_path: Path, kind:
     found = results(calibrated)
     for (time, message), result in zip(messages["/dvrk_cmaes/PSM1/camera_from_root"], found.values(), strict=True):
         assert time == (1795000000 + int(result["frame"])) * 10**9 + 5 * 10**8
-        read = pose(message.pose.position, message.pose.orientation)
-        np.testing.assert_allclose(read, matrix(result, "camera_from_root"), atol=1e-6)
+        read, true = pose(message.pose.pose.position, message.pose.pose.orientation), matrix(result, "camera_from_root")
+        np.testing.assert_allclose(read, true, atol=1e-6)
+        turned, stated = true[:3, :3], np.array(result["covariance"]["matrix"])[:3, :3]
+        in_camera = message.pose.covariance.reshape(6, 6)[:3, :3]
+        np.testing.assert_allclose(in_camera, turned @ stated @ turned.T, rtol=1e-3, atol=1e-12)
         assert message.header.frame_id == "camera"
     for (_, message), result in zip(messages["/PSM1/measured_js"], found.values(), strict=True):
         read = dict(zip(message.name, message.position, strict=True))

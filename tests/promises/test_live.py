@@ -101,7 +101,7 @@ def poses(server: RosbridgeServer, arm: str) -> dict[int, np.ndarray]:
     """Give the published poses of an arm by the time of their images, ms."""
     found = {}
     for _, message in server.received.get(f"/dvrk_cmaes/{arm}/camera_from_root", []):
-        stamp, pose = message["header"]["stamp"], message["pose"]
+        stamp, pose = message["header"]["stamp"], message["pose"]["pose"]
         out = np.eye(4)
         out[:3, :3] = Rotation.from_quat([pose["orientation"][axis] for axis in "xyzw"]).as_matrix()
         out[:3, 3] = [pose["position"][axis] for axis in "xyz"]
