@@ -47,10 +47,10 @@ SHOWN = (0.45, 0.0, 1.0, 1.0)  # left, top, right and bottom of the part that is
 LOOKAT = 8  # candidates that are shown, of those drawn in the LookAt space
 COLOURS = ((38, 38, 44), (214, 214, 214), (230, 120, 60), (70, 140, 230))  # of none, both, mask alone, silhouette alone
 
-FOLLOWED_WIDTH = 480  # px
-FOLLOWED_QUALITY = 18  # of the WebP, 0 to 100
-FOLLOWED_EVERY = 4  # of the frames that were followed
-FOLLOWED_MS = 200  # between two images
+FOLLOWED_WIDTH = 640  # px
+FOLLOWED_QUALITY = 14  # of the WebP, 0 to 100
+FOLLOWED_EVERY = 1  # of the frames that were followed
+FOLLOWED_MS = 120  # between two images
 
 
 def main() -> None:

@@ -17,17 +17,16 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.draw.canvas import AXES, DARK, GREY, Canvas, plain
 from dvrk_cmaes.draw.panels import FOUND, MASK, PROJECTED, SILHOUETTE, SKELETON, STEADY, footer, header
-from dvrk_cmaes.draw.projection import found_edges, project_visible, projected_edges, skeleton_lines
+from dvrk_cmaes.draw.projection import found_edges, projected_axes, projected_edges, skeleton_lines
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
 from dvrk_cmaes.evidence.outline_noise import distances_to
 from dvrk_cmaes.evidence.steady_errors import steady_stretches
-from dvrk_cmaes.geometry import Bool, Float64, apply
+from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body, Renderer
 
 _SMALLEST, _LARGEST = 1000, 2000  # px, width of the drawing
-_AXIS = 0.006  # m, length of the drawn axes
 _FAINT = 0.22  # brightness of the mask where there is no image, 0 to 1
 
 
@@ -195,8 +194,7 @@ def _steady_stretches(evidence: Evidence, silhouette: Bool, frame: FrameCanvas) 
 
 def _axes(frame: FrameCanvas, pose: Float64) -> None:
     """Draw the root's axes, 6 mm long, and their names."""
-    ends = project_visible(frame.camera, apply(pose, np.concatenate([np.zeros((1, 3)), _AXIS * np.eye(3)])))
-    origin, *tips = frame.at(ends)
+    origin, *tips = frame.at(projected_axes(frame.camera, pose))
     for (name, colour), tip in zip(AXES, tips, strict=True):
         frame.canvas.line(np.stack([origin, tip]), colour, width=3.0)
         away = tip - origin

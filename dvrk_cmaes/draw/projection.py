@@ -10,6 +10,7 @@ from dvrk_cmaes.geometry import Float64, apply, project_cylinder
 from dvrk_cmaes.instrument import Instrument
 
 _NEAREST = 0.005  # m, least depth of a point that is drawn; instruments are farther away
+_AXIS = 0.006  # m, length of drawn axes
 _SAMPLES = 300  # points along an edge, which is curved by lens distortion
 
 
@@ -19,6 +20,11 @@ def project_visible(camera: Camera, points: Float64) -> Float64:
     before = points[:, 2] > _NEAREST
     pixels[before] = camera.project(points[before])
     return pixels
+
+
+def projected_axes(camera: Camera, pose: Float64) -> Float64:
+    """Project the origin of a frame with a pose (4, 4), m, and the ends of its axes, 6 mm long: (4, 2) px."""
+    return project_visible(camera, apply(pose, np.concatenate([np.zeros((1, 3)), _AXIS * np.eye(3)])))
 
 
 def projected_edges(instrument: Instrument, camera_from_root: Float64, camera: Camera) -> list[Float64]:

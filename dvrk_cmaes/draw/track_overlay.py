@@ -7,7 +7,20 @@ from collections.abc import Mapping, Sequence
 import cv2
 import numpy as np
 
-from dvrk_cmaes.draw.canvas import DARK, GREEN, ORANGE, PURPLE, SKY_BLUE, YELLOW, Colour, beside, strip
+from dvrk_cmaes.draw.canvas import (
+    AXES,
+    DARK,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    SKY_BLUE,
+    WHITE,
+    YELLOW,
+    Canvas,
+    Colour,
+    beside,
+    strip,
+)
 from dvrk_cmaes.draw.panels import STATUS
 from dvrk_cmaes.geometry import Bool, Image
 from dvrk_cmaes.results.tracked import TrackView
@@ -15,7 +28,7 @@ from dvrk_cmaes.results.tracked import TrackView
 _ARMS: tuple[Colour, ...] = (SKY_BLUE, ORANGE, GREEN, PURPLE)  # in their order; the fifth has that of the first again
 _FAINT = 0.25  # brightness of the mask where there is no image
 _TINT = 0.35  # of an arm's colour within its tool
-_MASK_LINES, _LINES = 150, 320  # widths of a line in that of the picture: 4 and 2 px at 640 px, 9 and 4 px at 1280
+_MASK_LINES, _LINES = 640, 320  # widths of a line in that of the picture: 1 and 2 px at 640 px, 2 and 4 px at 1280
 _SIZE = 0.45  # of the letters
 
 
@@ -28,7 +41,7 @@ def draw_track(views: Sequence[TrackView], *, frame: str, status: str, reasons: 
 
 
 def draw_outlines(views: Sequence[TrackView]) -> Image:
-    """Draw the contours of mask (yellow, wide) and silhouette (blue) in each view, beside each other, (H, W, 3) BGR."""
+    """Draw mask (yellow, thin), silhouette (blue), axes (red, green, blue) and tips in each view, (H, W, 3) BGR."""
     return beside([_outlined(view) for view in views])
 
 
@@ -58,11 +71,17 @@ def draw_track_of_arms(
 
 
 def _outlined(view: TrackView) -> Image:
-    """Draw the contours of a view's mask and silhouette; the mask's is wider, to be seen beside the silhouette's."""
+    """Draw the contour of a view's mask, and over it that of the silhouette, the root's axes and the jaws' tips."""
     drawn = _background(view.image, view.mask, view.size)
     for region, colour, lines in ((view.mask, YELLOW, _MASK_LINES), (view.silhouette, SKY_BLUE, _LINES)):
         if region is not None:
             _contour(drawn, region, colour, lines)
+    canvas = Canvas(drawn, max(1.0, drawn.shape[1] / 640))
+    if view.axes is not None:
+        for (_, colour), end in zip(AXES, view.axes[1:], strict=True):
+            canvas.line(np.stack([view.axes[0], end]), colour)
+    for tip in () if view.tips is None else view.tips:
+        canvas.ring(tip, WHITE, radius=4.0)
     return drawn
 
 

@@ -157,12 +157,17 @@ class TrackResult:
 
 @dataclass(frozen=True, eq=False)
 class TrackView:
-    """A view of a frame: image (H, W, 3) BGR, mask and silhouette of the pose (H, W), each or None, of ``size`` px."""
+    """A view of a frame: image (H, W, 3) BGR, mask and silhouette of the pose (H, W), each or None, of ``size`` px.
+
+    ``axes`` (4, 2) px are the origin of the root link and the ends of its axes, ``tips`` (T, 2) px the jaws' tips.
+    """
 
     image: Image | None
     mask: Bool | None
     silhouette: Bool | None
     size: tuple[int, int]
+    axes: Float64 | None = None
+    tips: Float64 | None = None
 
 
 def without_pose(time: float, reason: str, *, searched: bool = False) -> TrackResult:

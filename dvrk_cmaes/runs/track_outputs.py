@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.draw.projection import project_visible, projected_axes
 from dvrk_cmaes.draw.track_overlay import draw_track, draw_track_of_arms
 from dvrk_cmaes.export.rerun_file import rerun_file
+from dvrk_cmaes.geometry import Float64, apply
 from dvrk_cmaes.io.video_writer import whole_video
 from dvrk_cmaes.report.track_page import FollowedRecording, TrackPictures, write_track_page
 from dvrk_cmaes.results.followed import result_of_row
@@ -43,14 +45,16 @@ def _seen_frames(arm: TrackedArm) -> Iterator[SeenFrame]:
         of_views = files_of_views(files, rig)
         views = []
         for number, (view, renderer) in enumerate(zip(rig.views, renderers, strict=True)):
-            camera, silhouette = view.camera, None
+            camera, silhouette, posed = view.camera, None, dict[str, Float64]()
             image, mask, _ = read_arrays(of_views[view.name], camera) if view.name in of_views else (None, None, None)
             if row["camera_from_root"] is not None:
                 joints = np.array([[row["joints"][name] for name in names]])
                 pose = np.array(row["camera_from_root"])
                 seen = view.view_from_camera @ pose if number else pose
+                posed["axes"] = projected_axes(camera, seen)
+                posed["tips"] = project_visible(camera, apply(seen, body.instrument.ends(joints[0])))
                 silhouette = renderer.masks(seen[None], joints)[0]
-            views.append(TrackView(image, mask, silhouette, (camera.width, camera.height)))
+            views.append(TrackView(image, mask, silhouette, (camera.width, camera.height), **posed))
         yield SeenFrame(row, tuple(views))
 
 
