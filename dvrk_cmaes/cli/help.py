@@ -15,7 +15,7 @@ _LARGEST = 1_000_000  # bytes
 _RELATIVE_LINK = re.compile(r"\[([^\]]*)\]\((?!\w+://)[^)]*\)")
 
 
-def help_topic(topic: str | None = None, /) -> int:
+def help_topic(topic: str | None = None, /, *, search: str | None = None) -> int:
     """Print a reference page, or the options of a command; without a topic, list the topics.
 
     On a terminal the page is formatted; a pipe or a file gets its Markdown text. Exit codes: 0 ok, 2 unknown topic.
@@ -24,23 +24,29 @@ def help_topic(topic: str | None = None, /) -> int:
     --------
     ```
     dvrk-cmaes help results
+    dvrk-cmaes help --search lag
     ```
 
     Parameters
     ----------
     topic
         Name of the page, or of a command.
+    search
+        A text, small or large: print the lines of pages that have it, after their topic; of one topic if that is given.
     """
     pages = topic_pages()
-    if topic is None:
+    if topic is None and search is None:
         show(_listing(pages))
         return 0
-    if topic not in pages:
+    if topic is not None and topic not in pages:
         from dvrk_cmaes.io.short_text import shown
 
         names = ", ".join(nearest_first(topic[:60], pages))
         raise InputError(f"help: expected one of the topics {names}, got {shown(topic[:40])}")
-    _print_markdown(_read(pages[topic]))
+    if search is not None:
+        show(_lines_with(search, pages if topic is None else {topic: pages[topic]}))
+    elif topic is not None:
+        _print_markdown(_read(pages[topic]))
     return 0
 
 
@@ -58,6 +64,19 @@ def _listing(pages: Mapping[str, Path]) -> Iterator[Line]:
     for topic, path in pages.items():
         title = _read(path).partition("\n")[0].removeprefix("# ")
         yield Line(f"  {topic:<{width}s}  {title}")
+
+
+def _lines_with(text: str, pages: Mapping[str, Path]) -> list[Line]:
+    """Give the lines of pages that have a text, in any case, after their topic; InputError if none has."""
+    found = [
+        Line(f"{topic}: {line.strip()}")
+        for topic, path in pages.items()
+        for line in _read(path).splitlines()
+        if text.casefold() in line.casefold()
+    ]
+    if not found:
+        raise InputError(f"help: --search: expected a text of the pages, got {text[:40]!r}, which none of them has")
+    return found
 
 
 def _read(path: Path) -> str:

@@ -109,6 +109,16 @@ def test_unknown_topic_is_refused_with_nearest_name(capsys: pytest.CaptureFixtur
     assert all(topic in refusal for topic in TOPICS)
 
 
+def test_text_is_found_in_the_pages(capsys: pytest.CaptureFixture[str]) -> None:
+    lines = run_command(capsys, "help", "--search", "RADTAN").out.splitlines()
+    assert lines
+    assert all("radtan" in line.lower() and line.partition(": ")[0] in TOPICS for line in lines)
+    assert run_command(capsys, "help", "--search", "no such words").refusal.startswith("help: --search: expected")
+    assert all(
+        line.startswith("live: ") for line in run_command(capsys, "help", "live", "--search", "a").out.splitlines()
+    )
+
+
 @pytest.mark.parametrize("topic", ["../demo/README", "results.md", "", "x" * 10_000])
 def test_path_as_topic_is_refused(capsys: pytest.CaptureFixture[str], topic: str) -> None:
     refusal = run_command(capsys, "help", topic).refusal
