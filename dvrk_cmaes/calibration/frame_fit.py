@@ -236,8 +236,8 @@ def fit_frame(
     own = own_estimate or OwnEstimate.drawn_as(views, fit.at, seen)
     if preset.noise == "weighed":
         before = coverage.silhouettes
-        coverage = coverage.with_lengths(own.lengths)
-        coverage = coverage.with_noise(coverage.noise_at(own.at))
+        coverage = coverage.changed(correlations=own.lengths)
+        coverage = coverage.changed(noise=coverage.noise_at(own.at))
         fit = _drawn_anew(fit, coverage)
         count += coverage.silhouettes - before
     iou = own.iou if own_estimate is None else overlap(views, seen)
@@ -271,7 +271,7 @@ def _refined(
         coverage = _coverage(views, outline, lengths, shrink, margin)
         if own_estimate is not None:
             noise = own_estimate.residual if shrink == 1 else None
-            coverage = coverage.with_noise(_noise(coverage, own_estimate, own_cameras) if noise is None else noise)
+            coverage = coverage.changed(noise=_noise(coverage, own_estimate, own_cameras) if noise is None else noise)
         if preset.of_one and len(starts) > 1:
             at = Posed.stacked([_better_start(coverage, terms, at)])
         if preset.steps is None:

@@ -52,7 +52,7 @@ def outline_task(
     at = _as_large(at, by)
     (drawn,) = coverage.draw(Posed.stacked([at]))
     assert own.residual is not None
-    coverage = coverage.with_noise(own.residual)
+    coverage = coverage.changed(noise=own.residual)
 
     def effects(_: int, points: OutlinePoints, by_pose: Float64) -> Float64:
         drawn_there = OutlineOfView(view.name, sized, points, by_pose, at, by.size)

@@ -67,7 +67,7 @@ class InstrumentSizes(SeenBlock):
     def effect(self, outline: OutlineOfView) -> Float64:
         """Return the displacements of the outline's points by each of the sizes."""
         view, points = outline.view, outline.points
-        seen = outline.at.seen_from(view.view_from_camera)
+        seen = outline.at.seen_from(view.view.view_from_camera)
         poses = self._instrument.forward(seen.joints)[points.link]
         in_root = (poses[:, :3, :3] @ points.points[:, :, None])[..., 0] + poses[:, :3, 3]
         depth = np.maximum(apply(seen.pose, in_root)[:, 2], NEAREST)

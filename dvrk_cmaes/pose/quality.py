@@ -16,7 +16,7 @@ from dvrk_cmaes.evidence.steady_errors import steady_stretches
 from dvrk_cmaes.evidence.straight_cut import largest_bend, shaft_width
 from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.joints.prior import Readings
-from dvrk_cmaes.pose.search.losses import Terms, dist_loss, mse_loss, scale_loss
+from dvrk_cmaes.pose.search.losses import Terms
 from dvrk_cmaes.pose.search.objective import pose_terms
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import Quality
@@ -66,16 +66,16 @@ def measure_views(
         masks, first = view.renderer.masks(seen.pose, seen.joints), slice(traced)
         masks[first], count = trace_near_outlines(view.renderer, seen.pose[first], seen.joints[first], masks[first])
         terms = _losses(view, readings, seen, masks, config)
-        pairs = zip(_without_losses(view, seen, masks), terms, strict=True)
-        of_views.append([_with_losses(quality, of_pose, config) for quality, of_pose in pairs])
+        qualities = enumerate(_without_losses(view, seen, masks))
+        of_views.append([_with_losses(quality, terms, k, config) for k, quality in qualities])
         rays += count
     return of_views, rays
 
 
-def _with_losses(quality: Quality, terms: Terms, config: EstimateConfig) -> Quality:
-    """Return a quality with the terms of the loss."""
-    by_name = {name: float(value[0]) for name, value in vars(terms).items()}
-    return replace(quality, loss=float(terms.total(config.weights)[0]), terms=by_name)
+def _with_losses(quality: Quality, terms: Terms, k: int, config: EstimateConfig) -> Quality:
+    """Return the quality of the k-th pose with its terms of the loss."""
+    by_name = {name: float(value[k]) for name, value in vars(terms).items()}
+    return replace(quality, loss=float(terms.total(config.weights)[k]), terms=by_name)
 
 
 def measure_overlap(view: FrameView, at: Posed) -> Quality:
@@ -87,38 +87,28 @@ def measure_overlap(view: FrameView, at: Posed) -> Quality:
     return _without_losses(view, Posed.stacked([seen]), view.silhouette(at)[None])[0]
 
 
-def _losses(view: FrameView, readings: Readings, seen: Posed, masks: Bool, config: EstimateConfig) -> list[Terms]:
+def _losses(view: FrameView, readings: Readings, seen: Posed, masks: Bool, config: EstimateConfig) -> Terms:
     """Return the terms of the loss of C poses in a view's camera, whose silhouettes are ``masks`` (C, H, W)."""
-    evidence, weights = view.evidence, config.weights
+    evidence = view.evidence
     window = _window(evidence, masks)
     mask, weight = evidence.mask[window], evidence.weight[window]
     drawn = masks[:, window[0], window[1]]
     far = _far(mask, np.logical_or.reduce(drawn), config.distance_field) / config.decay_px
     area = float(weight[mask].sum(dtype=np.float64))
-    cylinder, keypoints, deviations = pose_terms(evidence, view.renderer.body.instrument, readings, weights, seen)
-    of_poses = []
-    for i, silhouette in enumerate(drawn):
+    sums = []
+    for silhouette in drawn:
         if evidence.ignores:
             shown = silhouette * weight
-            sums = [part.sum(dtype=np.float64) for part in (shown, shown[mask])]
+            covered = [part.sum(dtype=np.float64) for part in (shown, shown[mask])]
             beyond = np.where(mask, np.float32(0), shown)
         else:
-            sums = [np.float64(np.count_nonzero(part)) for part in (silhouette, silhouette & mask)]
+            covered = [np.float64(np.count_nonzero(part)) for part in (silhouette, silhouette & mask)]
             beyond = (silhouette & ~mask).astype(np.float32)
-        total, overlap = (np.array([part]) for part in sums)
         outside = shrunk(beyond, far.shape[1], far.shape[0])
         away = np.vdot(outside, far) * (mask.size / far.size)
-        of_poses.append(
-            Terms(
-                mse=mse_loss(total, overlap, area) / area,
-                dist=dist_loss(np.array([away])) / area,
-                scale=scale_loss(total, area) / area,
-                cylinder=cylinder[i : i + 1],
-                keypoints=keypoints[i : i + 1],
-                readings=deviations[i : i + 1],
-            )
-        )
-    return of_poses
+        sums.append([*covered, away])
+    of_pose = pose_terms(evidence, view.renderer.body.instrument, readings, config.weights, seen)
+    return Terms.of(np.array(sums), area, area, of_pose)
 
 
 def _far(mask: Bool, where: Bool, method: str) -> Float64:

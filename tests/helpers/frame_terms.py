@@ -65,7 +65,7 @@ class Terms:
         self.others = terms_of_frame(views, readings, self.config, *more)
 
     def refined(self, *starts: Posed, cauchy: float | None = None) -> list[Fit]:
-        coverage = self.coverage if cauchy is None else self.coverage.with_width(cauchy)
+        coverage = self.coverage if cauchy is None else self.coverage.changed(cauchy=cauchy)
         return refine(coverage, self.others, Posed.stacked(starts), Steps.of(self.config, self.shrink))
 
     def assessed(self, at: Posed) -> Fit:

@@ -10,7 +10,7 @@ from helpers.transforms import apply, lookat_pose
 from dvrk_cmaes import Body, Camera, Renderer
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.pose.refine.information import ViewAtFullSize, information_of_views, outline_information
+from dvrk_cmaes.pose.refine.information import information_of_views, outline_information
 from dvrk_cmaes.pose.terms.readings_term import ReadingsTerm
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 
@@ -60,7 +60,7 @@ def test_shadows_beside_the_shaft_leave_the_depth_uncertain(bundled_body: Body) 
 
 def test_readings_count_in_the_first_view_only(bundled_body: Body) -> None:
     view = view_at(bundled_body, CAMERA, TRUE)
-    views = [ViewAtFullSize(view, SizedView(view, blur=1.2))] * 2
+    views = [SizedView(view, blur=1.2)] * 2
     readings = ReadingsTerm(readings_of(bundled_body, TRUE.joints))
     with_readings, without = (information_of_views(views, terms, TRUE) for terms in ([readings], []))
     np.testing.assert_array_equal(with_readings[1], without[1])

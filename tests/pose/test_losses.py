@@ -15,11 +15,10 @@ from hypothesis.extra.numpy import arrays
 from dvrk_cmaes import Body, Camera, Renderer
 from dvrk_cmaes.geometry import project_cylinder
 from dvrk_cmaes.pose.search.losses import (
+    Terms,
     cylinder_loss,
     keypoint_loss,
-    mse_loss,
     polar_lines,
-    scale_loss,
 )
 from dvrk_cmaes.silhouette import PixelSums
 
@@ -39,9 +38,9 @@ def test_rendered_terms_agree_with_images(bundled_body: Body, to_pixel: bool) ->
     mask = renderer.trace(pose[:1], joints[:1])[0]
     away = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5)
     table = PixelSums.of(np.stack([np.ones_like(away), mask, away]))
-    area, overlap, dist = renderer.sums(pose, joints, table, to_pixel=to_pixel).T
-    square = float(mask.sum())
-    mse, scale = mse_loss(area, overlap, square), scale_loss(area, square)
+    none, area = np.zeros(len(joints)), float(mask.sum())
+    terms = Terms.of(renderer.sums(pose, joints, table, to_pixel=to_pixel), area, area, (none, none, none))
+    mse, dist, scale = area * terms.mse, area * terms.dist, area * terms.scale
     traced = renderer.trace(pose, joints)
     brute_mse = (traced != mask).sum(axis=(1, 2))
     brute_dist = (traced * away).sum(axis=(1, 2))

@@ -12,7 +12,6 @@ from helpers.transforms import exp_rotation, lookat_pose, moved, rotation_angle,
 from dvrk_cmaes import Body, Camera
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import Readings
-from dvrk_cmaes.pose.refine.information import ViewAtFullSize
 from dvrk_cmaes.pose.refine.rig_rotation import Rotation, rotations_of_views
 from dvrk_cmaes.pose.terms.coverage import Coverage
 from dvrk_cmaes.pose.terms.sized_view import SizedView
@@ -38,8 +37,7 @@ def rotation(body: Body, views: list[FrameView], readings: Readings | None = Non
     """Give the rotation of the second view at the pose that fits both."""
     both = terms(body, views) if readings is None else Terms(views, readings)
     (fit,) = both.refined(TRUE)
-    pairs = [ViewAtFullSize(*pair) for pair in zip(views, both.views, strict=True)]
-    ((turn, covariance),) = rotations_of_views(pairs, both.others, fit.at, [fit.information / 2] * 2)
+    ((turn, covariance),) = rotations_of_views(both.views, both.others, fit.at, [fit.information / 2] * 2)
     return turn, covariance
 
 

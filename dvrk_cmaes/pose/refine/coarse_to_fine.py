@@ -13,7 +13,7 @@ from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, assess, refine
-from dvrk_cmaes.pose.refine.information import ViewAtFullSize, information_of_views
+from dvrk_cmaes.pose.refine.information import information_of_views
 from dvrk_cmaes.pose.refine.rig_rotation import Rotation, rotations_of_views
 from dvrk_cmaes.pose.refine.selection import ALL, Selection
 from dvrk_cmaes.pose.search.modes import PoseCandidate, best_per_mode, twin_of
@@ -147,7 +147,7 @@ class LocalSearch:
         """Estimate the noise of the outline from the best mode, and refine the modes with the resulting weights."""
         best = min(modes, key=lambda m: m.score)
         noises = [view.noise_at(best.at) for view in self._views]
-        coverage = finest.with_correlations([noise.length for noise in noises])
+        coverage = finest.changed(correlations=[noise.length for noise in noises])
         # Modes that are clearly worse, by score and by outline score, are not refined again, only scored.
         close = [
             mode
@@ -155,14 +155,13 @@ class LocalSearch:
             if mode.score < best.score + _CLEARLY_WORSE or mode.outline_score < best.outline_score + _CLEARLY_WORSE / 3
         ]
         rest = self._assess(coverage, [mode for mode in modes if mode not in close])
-        narrow = coverage.with_width(self._config.refine.outline.last_cauchy)
+        narrow = coverage.changed(cauchy=self._config.refine.outline.last_cauchy)
         modes = best_per_mode([*self._refine(narrow, close, selection=_FULL), *rest])
         first, *others = _not_diverged(modes)
         if all(has_correlated_noise(noise) for noise in noises):
             first = self._with_correlated_noise(coverage, first)
-        views = [ViewAtFullSize(*pair) for pair in zip(self._views, coverage.views, strict=True)]
-        of_views = information_of_views(views, self._terms, first.at)
-        rotations = rotations_of_views(views, self._terms, first.at, of_views)
+        of_views = information_of_views(coverage.views, self._terms, first.at)
+        rotations = rotations_of_views(coverage.views, self._terms, first.at, of_views)
         return [replace(first, information=np.sum(of_views, axis=0)), *others], rotations
 
     def _with_correlated_noise(self, coverage: Coverage, mode: Fit) -> Fit:

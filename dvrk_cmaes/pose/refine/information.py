@@ -10,7 +10,6 @@ about the error of the pose, and shadows make it longer. What stretches of conto
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +19,6 @@ from dvrk_cmaes.pose.terms.contour import is_rough
 from dvrk_cmaes.pose.terms.shared_errors import without_last
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_locals
-from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import OutlinePoints
 
 # Largest standard deviations of position, m, and of angles, rad; they keep the information invertible.
@@ -32,29 +30,15 @@ _ROUGH_FACTOR, _SMOOTH_FACTOR = 0.45, 0.25  # on the variance of a measurement; 
 _LARGE = 1.5  # px, standard deviation of errors that are neither small nor normal, by which the variance doubles
 
 
-@dataclass(frozen=True, eq=False)
-class ViewAtFullSize:
-    """A view, and the same as it is compared with outlines at its whole size."""
-
-    view: FrameView
-    sized: SizedView
-
-    def placed(self, view_from_camera: Float64) -> ViewAtFullSize:
-        """Return the same view at another place of the rig."""
-        return ViewAtFullSize(
-            replace(self.view, view_from_camera=view_from_camera), self.sized.placed(view_from_camera)
-        )
-
-
-def information_of_views(views: Sequence[ViewAtFullSize], terms: Sequence[Term], at: Posed) -> list[Float64]:
-    """Compute the information (6 + J, 6 + J) of each view about the small changes of one fitted pose.
+def information_of_views(views: Sequence[SizedView], terms: Sequence[Term], at: Posed) -> list[Float64]:
+    """Compute the information (6 + J, 6 + J) of each view, at its whole size, about the changes of one fitted pose.
 
     That of the first view includes the other ``terms``. The errors of the masks of different views are taken to be
     independent.
     """
     information = []
-    for k, both in enumerate(views):
-        of_view = outline_information(both.sized, at, both.view.noise_at(at))
+    for k, view in enumerate(views):
+        of_view = outline_information(view, at, view.view.noise_at(at))
         if k == 0:
             of_view = of_view + sum_of_locals(terms, Posed.stacked([at])).information[0]
             of_view = of_view + np.diag(_bounds(len(of_view)))

@@ -18,9 +18,10 @@ from dvrk_cmaes.camera.rig import turned_place
 from dvrk_cmaes.geometry import Float64, Posed, adjoint, inverse
 from dvrk_cmaes.pose.refine.elimination import eliminate
 from dvrk_cmaes.pose.refine.gauss_newton import Steps, refine
-from dvrk_cmaes.pose.refine.information import ViewAtFullSize, information_of_views
+from dvrk_cmaes.pose.refine.information import information_of_views
 from dvrk_cmaes.pose.terms.contour import CorrelatedContour, DrawnContour
 from dvrk_cmaes.pose.terms.outline_term import Derivatives
+from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic, Term
 
 Rotation = tuple[Float64, Float64]
@@ -72,8 +73,7 @@ class TurnedContours(CorrelatedContour):
         """Draw one pose in the turned views, and add up their terms about it and about the turns."""
         own = 6 + len(at.joints)
         count, turned = own + at.turns.size, _by_rotation(at)
-        further = zip(self.views[1:], at.turns, strict=True)
-        views = [self.views[0], *(v.placed(turned_place(v.view_from_camera, turn)) for v, turn in further)]
+        views = [self.views[0], *_turned(self.views[1:], at)]
         information, slope, cost = np.zeros((count, count)), np.zeros(count), 0.0
         for k, (drawn,) in enumerate(CorrelatedContour(views, reach=_REACH).of_views(Posed.stacked([at]))):
             columns = np.eye(own, count)
@@ -86,7 +86,7 @@ class TurnedContours(CorrelatedContour):
 
 
 def rotations_of_views(
-    views: Sequence[ViewAtFullSize], terms: Sequence[Term], at: Posed, informations: Sequence[Float64]
+    views: Sequence[SizedView], terms: Sequence[Term], at: Posed, informations: Sequence[Float64]
 ) -> list[Rotation]:
     """Fit the rotation of each view but the first together with the pose.
 
@@ -96,7 +96,7 @@ def rotations_of_views(
     """
     if len(views) == 1:
         return []
-    contours = TurnedContours([both.sized for both in views], reach=_REACH)
+    contours = TurnedContours(views, reach=_REACH)
     start = PosedInRig(at.pose, at.joints, np.zeros((len(views) - 1, 3)))
     if not all(of_view.information.any() for (of_view,) in contours.of_views(Posed.stacked([at]))):
         return [(np.zeros(3), _UNKNOWN * np.eye(3))] * (len(views) - 1)
@@ -106,12 +106,15 @@ def rotations_of_views(
     if not any(_disagrees(*rotation) for rotation in rotations):
         return rotations
     turned = _refined(contours, terms, turned, replace(steps, iterations=_STEPS))
-    further = [
-        both.placed(turned_place(both.view.view_from_camera, turn))
-        for both, turn in zip(views[1:], turned.turns, strict=True)
-    ]
+    further = _turned(views[1:], turned)
     settled = Posed(turned.pose, turned.joints)
     return _with_covariances(turned, settled, information_of_views([views[0], *further], terms, settled))
+
+
+def _turned(views: Sequence[SizedView], at: PosedInRig) -> list[SizedView]:
+    """Return the views but the first as they are turned."""
+    pairs = zip(views, at.turns, strict=True)
+    return [view.placed(turned_place(view.view.view_from_camera, turn)) for view, turn in pairs]
 
 
 def _refined(contours: TurnedContours, terms: Sequence[Term], start: PosedInRig, steps: Steps) -> PosedInRig:

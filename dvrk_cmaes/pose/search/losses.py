@@ -32,20 +32,16 @@ class Terms:
         """Return the weighted sum of all terms, (C,)."""
         return np.asarray(sum(getattr(weights, f.name) * getattr(self, f.name) for f in fields(self)))
 
+    @staticmethod
+    def of(sums: Float64, mask_area: float, mask_square: float, of_pose: tuple[Float64, Float64, Float64]) -> Terms:
+        """Compute L_mse = sum (S - M)^2, L_dist = sum S D and L_scale = abs(sum S - sum M), divided by sum M.
 
-def mse_loss(area: Float64, overlap: Float64, mask_area: float) -> Float64:
-    """Compute L_mse = sum (S - M)^2 from sum S, sum S M and sum M^2, for a binary silhouette S."""
-    return area - 2 * overlap + mask_area
-
-
-def dist_loss(far: Float64) -> Float64:
-    """Compute L_dist = sum S D; the sum is the argument ``far`` itself."""
-    return far
-
-
-def scale_loss(area: Float64, mask_area: float) -> Float64:
-    """Compute L_scale = abs(sum S - sum M)."""
-    return np.abs(area - mask_area)
+        ``sums`` (C, 3) are sum S, sum S M and sum S D of binary silhouettes S, ``mask_square`` is sum M^2, and
+        ``of_pose`` are the terms without a silhouette, as by `objective.pose_terms`.
+        """
+        area, overlap, far = sums.T
+        mse, scale = area - 2 * overlap + mask_square, np.abs(area - mask_area)
+        return Terms(mse / mask_area, far / mask_area, scale / mask_area, *of_pose)
 
 
 def polar_lines(lines: Float64, camera: Camera) -> tuple[Float64, Float64]:
@@ -64,18 +60,21 @@ def line_distance(a: tuple[Float64, Float64], b: tuple[Float64, Float64], offset
 
     The sign of the normal is irrelevant: (theta, rho) and (theta + pi, -rho) are the same line.
     """
-    turn = np.mod(a[0] - b[0], 2 * np.pi)
+    theta, rho = _facing(a, b)
+    turn = np.mod(a[0] - theta, np.pi)
+    return np.asarray(np.minimum(turn, np.pi - turn) + offset_weight * np.abs(a[1] - rho))
+
+
+def _facing(first: tuple[Float64, Float64], second: tuple[Float64, Float64]) -> tuple[Float64, Float64]:
+    """Return the second line in the polar form whose normal is within 90 degrees of that of the first line."""
+    turn = np.mod(first[0] - second[0], 2 * np.pi)
     flipped = (turn > np.pi / 2) & (turn < 3 * np.pi / 2)
-    angle = np.minimum(np.mod(turn, np.pi), np.pi - np.mod(turn, np.pi))
-    return np.asarray(angle + offset_weight * np.abs(a[1] - np.where(flipped, -b[1], b[1])))
+    return np.where(flipped, second[0] + np.pi, second[0]), np.where(flipped, -second[1], second[1])
 
 
 def _mean_line(first: tuple[Float64, Float64], second: tuple[Float64, Float64]) -> tuple[Float64, Float64]:
     """Compute the mean of two lines in polar form, after making the angle between their normals at most 90 degrees."""
-    turn = np.mod(second[0] - first[0], 2 * np.pi)
-    flipped = (turn > np.pi / 2) & (turn < 3 * np.pi / 2)
-    theta = np.where(flipped, second[0] + np.pi, second[0])
-    rho = np.where(flipped, -second[1], second[1])
+    theta, rho = _facing(first, second)
     x, y = np.cos(first[0]) + np.cos(theta), np.sin(first[0]) + np.sin(theta)
     return np.arctan2(y, x), (first[1] + rho) / 2
 

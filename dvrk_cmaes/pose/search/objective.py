@@ -11,7 +11,7 @@ from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.geometry import Float64, Posed, apply, project_cylinder
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings
-from dvrk_cmaes.pose.search.losses import Terms, cylinder_loss, dist_loss, keypoint_loss, mse_loss, scale_loss
+from dvrk_cmaes.pose.search.losses import Terms, cylinder_loss, keypoint_loss
 from dvrk_cmaes.silhouette import PixelSums, Renderer
 
 
@@ -47,18 +47,8 @@ class Objective:
     def terms(self, at: Posed) -> Terms:
         """Compute all terms of C candidates."""
         sums = self.renderer.sums(at.pose, at.joints, self._images)
-        area, overlap, far = sums.T
-        cylinder, keypoints, readings = pose_terms(
-            self.evidence, self.renderer.body.instrument, self.readings, self.weights, at
-        )
-        return Terms(
-            mse=mse_loss(area, overlap, self._square) / self._area,
-            dist=dist_loss(far) / self._area,
-            scale=scale_loss(area, self._area) / self._area,
-            cylinder=cylinder,
-            keypoints=keypoints,
-            readings=readings,
-        )
+        of_pose = pose_terms(self.evidence, self.renderer.body.instrument, self.readings, self.weights, at)
+        return Terms.of(sums, self._area, self._square, of_pose)
 
     def cost(self, at: Posed) -> Float64:
         """Compute the total loss of C candidates, (C,)."""

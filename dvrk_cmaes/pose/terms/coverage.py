@@ -14,7 +14,6 @@ that happens to fit best would have nearly all the weight.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -87,30 +86,26 @@ class Coverage(OutlineTerm[DrawnCoverage]):
         )
         self._place = self._widths.index(self._width)
 
-    def _with(self, views: Sequence[SizedView] = (), **changed: Any) -> Coverage:
-        """Return the same term of other views, or with other arguments."""
-        given: dict[str, Any] = {"correlations": self._correlations, "cauchy": self._width, "noise": self.noise}
-        return Coverage(views or self.views, self._config, **(given | changed))
-
-    def with_correlations(self, lengths: Sequence[float]) -> Coverage:
-        """Return the same term with other correlation lengths, px, one of each view, and the width of scores."""
-        return self._with(correlations=lengths, cauchy=None)
-
-    def with_lengths(self, lengths: Sequence[float]) -> Coverage:
-        """Return the same term with other correlation lengths, px, one of each view."""
-        return self._with(correlations=lengths)
-
-    def with_width(self, cauchy: float) -> Coverage:
-        """Return the same term with another width of the loss that is made small."""
-        return self._with(cauchy=cauchy)
-
-    def with_noise(self, noise: float) -> Coverage:
-        """Return the same term with a given sum of squares, as by `noise_at`, from which the weight follows."""
-        return self._with(noise=noise)
+    def changed(
+        self,
+        views: Sequence[SizedView] = (),
+        *,
+        correlations: Sequence[float] = (),
+        cauchy: float | None = None,
+        noise: float | None = None,
+    ) -> Coverage:
+        """Return the same term of other views, or with other arguments than it was made with."""
+        return Coverage(
+            views or self.views,
+            self._config,
+            correlations=correlations or self._correlations,
+            cauchy=self._width if cauchy is None else cauchy,
+            noise=self.noise if noise is None else noise,
+        )
 
     def with_cameras(self, cameras: Sequence[Camera]) -> Coverage:
         """Return the same term seen by other cameras of the views, for images of their whole size."""
-        return self._with([view.with_camera(camera) for view, camera in zip(self.views, cameras, strict=True)])
+        return self.changed([view.with_camera(camera) for view, camera in zip(self.views, cameras, strict=True)])
 
     def noise_at(self, at: Posed) -> float:
         """Return the sum of squares at one pose, with the width of scores."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -41,8 +42,8 @@ class SizedView:
     """A view at 1 / ``shrink`` of its size, in a window around the mask.
 
     mask : (H, W) bool, of the window. target : the blurred mask. weight : (H, W), 0 for ignored pixels and
-    beside them, 1 for others. length : px of contour at this size. shrink, view_from_camera : as given. Poses are in
-    the reference camera. ``blur``, px, is the standard deviation of that of coverage and mask; ``renderer`` draws
+    beside them, 1 for others. length : px of contour at this size. view, shrink : as given. Poses are in the reference
+    camera. ``blur``, px, is the standard deviation of that of coverage and mask; ``renderer`` draws
     another body than that of the view, if given, and ``differences`` is that of which the outlines are drawn for
     differences. ``margin``, px of the whole size, is taken off the mask all round.
 
@@ -72,7 +73,7 @@ class SizedView:
         left, top, width, height = window_around(mask > 0, around)
         mask = np.ascontiguousarray(mask[top : top + height, left : left + width])
         left, top = first + left, above + top
-        self._view, self._size, self._window = view, size, (left, top, width, height)
+        self.view, self._size, self._window = view, size, (left, top, width, height)
         used = view.renderer if renderer is None else renderer
         self.camera = self._in_window(camera)
         self._renderer = Renderer(used.body, self.camera, threads=used.threads)
@@ -90,13 +91,12 @@ class SizedView:
         self.target = _kernel.Target(mask, self.weight, blur_filter(blur), REACH)
         self.shrink = shrink
         self.length = max(len(evidence.contour.pixels) / shrink, 20.0)
-        self.view_from_camera = view.view_from_camera
         self._remembered: dict[tuple[object, ...], _kernel.Comparison] = {}
 
     def placed(self, view_from_camera: Float64) -> SizedView:
         """Return the same view at another place of the rig."""
         other = object.__new__(SizedView)
-        other.__dict__ |= self.__dict__ | {"view_from_camera": view_from_camera}
+        other.__dict__ |= self.__dict__ | {"view": replace(self.view, view_from_camera=view_from_camera)}
         return other
 
     def with_camera(self, camera: Camera) -> SizedView:
@@ -128,7 +128,7 @@ class SizedView:
         self, at: Posed, lines_per_pixel: int, cauchy: Sequence[float], derivatives: str | None
     ) -> list[_kernel.Comparison]:
         """Draw C poses and compare them with the mask, by losses of some widths; outlines are with ``derivatives``."""
-        seen = at.seen_from(self.view_from_camera)
+        seen = at.seen_from(self.view.view_from_camera)
         keys = [(seen.pose[k].tobytes(), seen.joints[k].tobytes(), lines_per_pixel, *cauchy) for k in range(len(seen))]
         kept = ((key, self._remembered.get(key)) for key in keys)
         differences = derivatives == "differences"
@@ -158,16 +158,16 @@ class SizedView:
 
     def outlines(self, at: Posed) -> list[OutlinePoints]:
         """Find the outline of each of C poses."""
-        seen = at.seen_from(self.view_from_camera)
+        seen = at.seen_from(self.view.view_from_camera)
         return self._renderer.outlines(seen.pose, seen.joints)
 
     def contours(self, at: Posed, errors: _kernel.ContourErrors) -> tuple[Float64, Float64, Float64]:
         """Compare the outlines of C poses with the mask's contour, as `Renderer.contours`."""
-        return self._renderer.contours(at.seen_from(self.view_from_camera), self.mask, self.weight, errors)
+        return self._renderer.contours(at.seen_from(self.view.view_from_camera), self.mask, self.weight, errors)
 
     def jacobians(self, outlines: Sequence[OutlinePoints], at: Posed) -> list[Float64]:
         """Return the Jacobian (N, 6 + J) of the points of the outlines of C poses, as in `MovingPoints`."""
-        seen = at.seen_from(self.view_from_camera)
+        seen = at.seen_from(self.view.view_from_camera)
         of_poses = moving_points(self._renderer.body.instrument, self.camera, outlines, seen)
         return [moving.jacobian for moving in of_poses]
 
@@ -184,12 +184,12 @@ class SizedView:
 
     def sides_of_shaft(self, outline: OutlinePoints, at: Posed) -> NDArray[np.bool_]:
         """Return which points (N, 2) of the outline of one pose are on each side of the shaft."""
-        seen = at.seen_from(self.view_from_camera)
+        seen = at.seen_from(self.view.view_from_camera)
         return sides_of_shaft(outline, self._renderer.body.instrument, self.camera, seen)
 
     def axis(self, at: Posed) -> Float64:
         """Return the direction (2,) in the image along which the shaft of one pose points."""
-        return image_axis(self._renderer.body.instrument, self.camera, at.seen_from(self.view_from_camera))
+        return image_axis(self._renderer.body.instrument, self.camera, at.seen_from(self.view.view_from_camera))
 
     @property
     def sharing(self) -> _kernel.Sharing:
@@ -198,12 +198,12 @@ class SizedView:
 
     def shared_errors(self, outline: OutlinePoints, at: Posed, noise: OutlineNoise) -> SharedErrors:
         """Return what the points of the outline of one pose may err by together, for a contour with some noise."""
-        seen = at.seen_from(self.view_from_camera)
+        seen = at.seen_from(self.view.view_from_camera)
         return shared_errors(outline, self._renderer.body.instrument, self.camera, seen, noise)
 
     def mean_errors(self, outline: OutlinePoints, at: Posed) -> Float64:
         """Return the displacements (N, 7) of the outline's points of one pose by the mean errors of all masks."""
-        seen = at.seen_from(self.view_from_camera)
+        seen = at.seen_from(self.view.view_from_camera)
         return mean_errors(outline, self._renderer.body.instrument, self.camera, seen)
 
 
