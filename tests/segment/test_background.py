@@ -230,6 +230,6 @@ def test_real_bench_is_segmented(shared: Path, eye: str) -> None:
         image = read_image(path)
         found = segment(image, background=settings.backgrounds[eye])
         alone = segment(image)
-        assert min(found.confidence, alone.confidence) > 0.8 > GUESS
+        assert min(found.confidence, alone.confidence) > 0.85 > GUESS
         both = found.mask & alone.mask
         assert both.sum() > 0.96 * (found.mask | alone.mask).sum()
