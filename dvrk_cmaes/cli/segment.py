@@ -38,10 +38,9 @@ def segment(
 ) -> int:
     """Find the instrument in an image, or in each image of a folder.
 
-    Writes OUT/masks/FRAME.png, OUT/overlays/FRAME.jpg for inspection and, if the model computes a score of each pixel,
-    OUT/scores/FRAME.png (8-bit; 128 and more is instrument). The model classic looks for the instrument's shape,
-    whatever its colours: straight edges of the shaft, with wrist and jaws that look unlike what is around them. Of
-    several instruments the surest one is taken, unless a box or a point says which; the masks of the others are
+    Writes OUT/masks/FRAME.png, and OUT/overlays/FRAME.jpg for inspection. The model classic looks for the instrument's
+    shape, whatever its colours: straight edges of the shaft, with wrist and jaws that look unlike what is around them.
+    Of several instruments the surest one is taken, unless a box or a point says which; the masks of the others are
     OUT/others/FRAME-2.png and so on. Where no shape is found, it takes what is grey before a colourful background, or
     what differs from a smooth one; in a folder with at least 6 images of a camera that stands still, what differs from
     the background that these show comes first. In a folder, the same prompts are used for every image.
@@ -94,7 +93,7 @@ def segment(
     settings = learned_backgrounds(model.resolve(), views)
     for frame in images:
         check_output(out, frame.rpartition("/")[2])
-    with whole_folder(out, "segment", overwrite=True, kept=("masks", "overlays", "scores")) as temporary:
+    with whole_folder(out, "segment", overwrite=True, kept=("masks", "overlays")) as temporary:
         for text in settings.notes:
             note(text)
         found = {}
@@ -124,13 +123,11 @@ def _by_view(frames: Iterable[str]) -> dict[str, list[str]]:
 def segment_file(
     frame: str, path: Path, settings: SegmentSettings, hints: Hints, threads: int, out: Path, instrument: str
 ) -> dict[str, Any]:
-    """Segment one image and write score, overlay and, as the last file, the mask; returns what was found, for JSON.
+    """Segment one image and write the overlay and, as the last file, the mask; returns what was found, for JSON.
 
     Its ``files`` are by kind, relative to ``out``. ``doubtful`` is a mask whose confidence is below that of a guess.
     """
     from time import perf_counter
-
-    import numpy as np
 
     from dvrk_cmaes.frames.images import read_image
     from dvrk_cmaes.io.atomic import write_image
@@ -141,7 +138,6 @@ def segment_file(
 
     image = read_image(path)
     started = perf_counter()
-    prompts: dict[str, Any] = {"box": hints.box, "points": hints.points, "not_points": hints.not_points}
     background = settings.backgrounds.get(frame.rpartition("/")[0])
     found = segment_image(
         image,
@@ -150,17 +146,14 @@ def segment_file(
         threads=threads,
         background=background,
         instrument=instrument,
-        **prompts,
+        **vars(hints),
     )
     seconds = perf_counter() - started
     if not found.mask.any():
         raise DvrkCmaesError(f"{path}: no instrument found; a box or a point on the instrument would help")
     here = Path()
     files = {"mask": mask_path(here, frame), "overlay": overlay_path(here, frame)}
-    write_image(out / files["overlay"], draw_segmentation(image, found, frame, **prompts))
-    if found.score is not None:
-        files["score"] = Path("scores", f"{frame}.png")
-        write_image(out / files["score"], np.asarray(np.clip(found.score * 255 + 0.5, 0, 255), np.uint8))
+    write_image(out / files["overlay"], draw_segmentation(image, found, frame, hints))
     for number, other in enumerate(found.others, start=2):
         files[f"mask_{number}"] = Path("others", f"{frame}-{number}.png")
         write_image(out / files[f"mask_{number}"], other.mask)
@@ -186,6 +179,6 @@ def _lines(frame: str, found: Mapping[str, Any]) -> Iterator[Line]:
     word = "a guess, " if found["status"] == "doubtful" else ""
     area = f"{100 * found['share']:.1f} % of the image{before}"
     yield Line(f"{frame}: {word}confidence {found['confidence']:.2f}, {area}, {found['seconds']:.2f} s", style)
-    yield from (Line(f"  {text}") for text in found["notes"] if text != "a guess")
-    kinds = [kind for kind in found if kind in ("mask", "overlay", "score") or kind.startswith("mask_")]
+    yield from (Line(f"  {text}") for text in found["notes"])
+    kinds = [kind for kind in found if kind in ("mask", "overlay") or kind.startswith("mask_")]
     yield Line("  " + "   ".join(f"{kind}: {found[kind]}" for kind in kinds))

@@ -141,7 +141,7 @@ def _find_mask(
         own = replace(view, view_from_camera=np.eye(4), mask=found.mask, keypoints=None, given=True)
         result = solve([own])
         silhouette = _silhouette(result, view, body)
-        again = segment_again(image, silhouette, found.mask, view.ignore, hints=hints, outside=outside)
+        again = segment_again(image, silhouette, found.mask, view.ignore, hints=hints)
         if again is None:
             break
         which = found.notes[-1:] if found.others else ()  # the last note tells which of several is taken

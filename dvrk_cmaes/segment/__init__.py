@@ -88,10 +88,10 @@ def segment(
         ``classic`` with weights.
     """
     image = np.asarray(image)
-    check_prompts(image, box, points, not_points)
+    hints = Hints(box, tuple(points), tuple(not_points))
+    check_prompts(image, hints)
     if background is not None:
         check_background(background)
-    hints = Hints(box, tuple(points), tuple(not_points))
 
     def classic() -> Segmentation:
         from dvrk_cmaes.silhouette.threads import single_blas_thread
@@ -108,9 +108,7 @@ def segment(
             raise InputError("weights: model sam2 needs the folder of an exported checkpoint")
         from dvrk_cmaes.segment.sam2 import segment_sam2
 
-        return segment_sam2(
-            image, Path(weights), threads, box=box, points=points, not_points=not_points, otherwise=classic
-        )
+        return segment_sam2(image, Path(weights), threads, hints, classic)
     raise InputError(f"model: expected one of {', '.join(nearest_first(str(model), MODELS))}, got {model!r}")
 
 
@@ -126,7 +124,6 @@ def with_classic(
 
     A mask by other means than a known background is a guess where it hardly differs from that.
     """
-    from dvrk_cmaes.frames.field_of_view import outside_view
     from dvrk_cmaes.segment.background import (
         differing_region,
         differing_share,
@@ -140,8 +137,7 @@ def with_classic(
     from dvrk_cmaes.silhouette.prepare import prepare
 
     body = None if instrument is None else prepare(instrument)
-    prompts = draw_prompts(image.shape, 1.0, hints.box, hints.points, hints.not_points)
-    prompts = prompts.with_outside(outside_view(image))
+    prompts = draw_prompts(image, hints)
 
     @cache
     def rough() -> Segmentation:
@@ -155,7 +151,7 @@ def with_classic(
         return replace(segment_before(image, foreground_log_odds(image, behind), prompts), before="smooth background")
 
     def without_shape() -> Segmentation:
-        found = segment_classic(image, hints, rough())
+        found = segment_classic(image, prompts, rough())
         if found.confidence >= GUESS:
             return found
         return max([found, *filter(None, (before_smooth(),))], key=lambda each: each.confidence)
@@ -166,7 +162,7 @@ def with_classic(
     def without_background() -> Segmentation:
         if body is None:
             return without_shape()
-        return segment_by_model(image, body, camera, joints, hints, roughly, without_shape)
+        return segment_by_model(image, body, camera, joints, prompts, roughly, without_shape)
 
     if background is None:
         return without_background()
@@ -175,14 +171,15 @@ def with_classic(
     def before() -> Segmentation:
         return segment_before(image, odds, prompts)
 
-    found = before()
-    if body is not None:
+    if body is None:
+        found = before()
+    else:
         region = Segmentation(differing_region(odds))
-        found = segment_by_model(image, body, camera, joints, hints, lambda: region, before, odds)
+        found = segment_by_model(image, body, camera, joints, prompts, lambda: region, before, odds)
     if found.confidence >= GUESS:
         return replace(found, before="learned background")
     other = without_background()
     if differing_share(other.mask, odds) < _DIFFERS:
-        notes = ("a guess", *other.notes, "it looks like the background that the other images show")
+        notes = (*other.notes, "it looks like the background that the other images show")
         other = replace(other, confidence=min(other.confidence, _SAME), notes=notes)
     return other if other.confidence >= GUESS or not found.mask.any() else replace(found, before="learned background")

@@ -21,9 +21,9 @@ from dvrk_cmaes.segment.colours import Colours, ColourTable, local_colour_log_od
 from dvrk_cmaes.segment.confidence import assess_mask
 from dvrk_cmaes.segment.edge_colours import edge_log_odds
 from dvrk_cmaes.segment.graph_cut import cut
-from dvrk_cmaes.segment.prompts import Prompts
+from dvrk_cmaes.segment.prompts import Prompts, no_prompts
 from dvrk_cmaes.segment.regions import fill_holes
-from dvrk_cmaes.segment.segmentation import Segmentation, noted
+from dvrk_cmaes.segment.segmentation import Segmentation, nothing_found
 from dvrk_cmaes.segment.shaft_sides import shaft_log_odds
 from dvrk_cmaes.segment.sizes import FINEST, resized, shrunk, size_within
 
@@ -50,16 +50,14 @@ _SETTLED: Final = 0.002  # share of the mask's pixels that change, below which n
 
 @dataclass(frozen=True, eq=False)
 class Around:
-    """A mask (H, W) around a silhouette; the window (rows, columns) that was looked at, and log-odds (h, w) in it.
+    """A mask (H, W) around a silhouette, and the window (rows, columns) that was looked at.
 
-    ``odds`` are all of them, ``by_colour`` those of the colours alone; ``sure`` are the pixels (h, w) of the window
-    that are the instrument's by the silhouette; ``measured`` are its colours, if these were learned. All are of the
-    size at which the mask was found.
+    ``by_colour`` are the log-odds (h, w) by colours in the window, ``sure`` its pixels (h, w) that are the instrument's
+    by the silhouette, ``measured`` its colours, if these were learned. All are of the size at which the mask was found.
     """
 
     mask: Bool
     window: tuple[slice, slice]
-    odds: Float32
     by_colour: Float32
     sure: Bool
     measured: Colours | None
@@ -121,9 +119,9 @@ def mask_around(
     band, far = (np.broadcast_to(np.float32(each), silhouette.shape)[window] for each in (free, reach))
     distance = signed_distance(expected)
     prior = log_odds_beyond(distance, band, steepness)
-    never, fixed = distance > band + far, Prompts() if prompts is None else prompts.within(window)
-    if fixed.background is not None:
-        never |= fixed.background
+    fixed = no_prompts(silhouette.shape) if prompts is None else prompts
+    background, tool = fixed.background[window], fixed.tool[window]
+    never = background | (distance > band + far)
     measured = measure_colours(part) if local else None
     table = None if measured is None else ColourTable(measured)
     known = np.zeros(prior.shape, np.float32) if colours is None else colours[window]
@@ -136,7 +134,7 @@ def mask_around(
             odds += edge_log_odds(part, mask)
         if straight and (sides := _sides(mask, silhouette.shape, window)) is not None:
             odds += sides
-        before, mask = mask, cut(np.asarray(odds, np.float32), features, background=never, tool=fixed.tool)
+        before, mask = mask, cut(np.asarray(odds, np.float32), features, background=never, tool=tool)
         if not mask.any() or mask.all():
             return None
         if (before ^ mask).sum() < _SETTLED * mask.sum():
@@ -144,10 +142,9 @@ def mask_around(
     whole = np.zeros_like(silhouette)
     whole[window] = _within(mask, distance < np.minimum(band, ROUGH) + _BLURRED)
     whole = fill_holes(whole)
-    if fixed.background is not None:
-        whole[window] &= ~fixed.background
+    whole[window] &= ~background
     sure = expected & (distance < -band) & ~never
-    return Around(whole, window, odds, by_colour, sure, measured) if whole.any() else None
+    return Around(whole, window, by_colour, sure, measured) if whole.any() else None
 
 
 def log_odds_beyond(distance: Float32, free: float | Float32 = FREE, steepness: float = _STEEPNESS) -> Float32:
@@ -203,14 +200,11 @@ def segmentation_around(
     else:
         found = around(silhouette, longest, free, _PASSES)
     if found is None:
-        return Segmentation(np.zeros_like(silhouette), None, 0.0, ("no instrument found",))
+        return nothing_found(silhouette.shape)
     small, fixed = reduced(longest)
     measured = found.measured or measure_colours(np.ascontiguousarray(small[found.window]))
     verdict = assess_mask(found.mask, found.window, found.by_colour, measured, prompts=fixed)
-    score = np.zeros(found.mask.shape, np.float32)
-    score[found.window] = 1 / (1 + np.exp(-found.odds))
-    score = np.asarray(cv2.resize(score, (width, height)), np.float32)
-    return noted(Segmentation(resized(found.mask, (width, height)), score, verdict.confidence, verdict.notes))
+    return Segmentation(resized(found.mask, (width, height)), verdict.confidence, verdict.notes)
 
 
 def guide(image: Image) -> Float32:

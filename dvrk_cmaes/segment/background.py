@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from dvrk_cmaes.geometry import Bool, Float32, Image
 from dvrk_cmaes.segment.around import segmentation_around
 from dvrk_cmaes.segment.colours import ColourTable, measure_colours
-from dvrk_cmaes.segment.prompts import Prompts
+from dvrk_cmaes.segment.prompts import Prompts, no_prompts
 from dvrk_cmaes.segment.regions import distance_to, instrument_region
-from dvrk_cmaes.segment.segmentation import Segmentation
+from dvrk_cmaes.segment.segmentation import Segmentation, nothing_found
 from dvrk_cmaes.segment.sizes import FINEST, SMALLEST, resized, shrunk
 
 FEWEST: Final = 6
@@ -139,7 +139,7 @@ def segment_before(image: Image, odds: Float32, prompts: Prompts) -> Segmentatio
     small = prompts.resized(odds.shape[1], odds.shape[0], odds.shape[1] / width)
     around = resized(differing_region(odds, small), (width, height))
     if not around.any() or around.all():
-        return Segmentation(np.zeros((height, width), np.bool_), None, 0.0, ("no instrument found",))
+        return nothing_found(image.shape)
     return segmentation_around(image, around, prompts, rough=True, colours=odds, local=False)
 
 
@@ -151,9 +151,8 @@ def differing_share(mask: Bool, odds: Float32) -> float:
 
 def differing_region(odds: Float32, prompts: Prompts | None = None) -> Bool:
     """Return the pixels (h, w) that most likely are the instrument, by log-odds (h, w) against a background."""
-    prompts = prompts or Prompts()
-    region = instrument_region(_opened(odds > 1), GAP * max(odds.shape), prompts)
-    return region if prompts.tool is None else region | prompts.tool
+    prompts = no_prompts(odds.shape) if prompts is None else prompts
+    return instrument_region(_opened(odds > 1), GAP * max(odds.shape), prompts) | prompts.tool
 
 
 def _by_difference(image: Image, background: Image) -> Float32:

@@ -19,7 +19,8 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.frames.seen_view import overlap_of
 from dvrk_cmaes.geometry import Bool, Float32, Float64, Image, Posed, frame_along, rotation_about_z, transform
 from dvrk_cmaes.segment.appearance import Appearance
-from dvrk_cmaes.segment.segmentation import GUESS, Hints
+from dvrk_cmaes.segment.prompts import Prompts
+from dvrk_cmaes.segment.segmentation import GUESS
 from dvrk_cmaes.segment.shaft_pairs import Pair, find_pairs, pair_of_mask
 from dvrk_cmaes.segment.sizes import REDUCED, resized, shrunk, size_within
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -48,6 +49,7 @@ _BENDS: Final = np.deg2rad([(0, 0), (45, 0), (-45, 0), (0, 45), (0, -45), (35, 3
 _STARTS: Final = 4, 2  # places of a group, and turns of each, at most
 _BEGUN: Final = 6  # of these, that are optimised, once they are at their best distance and tilt
 _INSTRUMENTS: Final = 3  # that are looked at further
+_MOST: Final = 4  # that are returned
 _ENDS: Final = 4, 2  # of each, that are optimised further, twice
 _PASSES: Final = {
     False: (2, 4, 6),
@@ -104,41 +106,32 @@ def assumed_camera(width: int, height: int) -> Camera:
 
 def find_instruments(
     image: Image,
-    outside: Bool,
+    prompts: Prompts,
     body: Body,
     camera: Camera,
     joints: Mapping[str, float] | None = None,
-    most: int = 4,
     rough: Bool | None = None,
     foreground: Float32 | None = None,
-    hints: Hints | None = None,
 ) -> list[Candidate]:
     """Find the instruments in an image (H, W, 3) uint8 BGR; their silhouettes do not share pixels.
 
     Those that are no guess are first, and of these the one with the largest score.
 
-    ``outside`` (H, W) are pixels outside the picture; ``joints`` are the readings, rad, by name. ``rough`` is a mask of
-    any size found by other means: it is looked whether its sides are a shaft's, too. ``foreground`` are log-odds of
-    instrument by a known background, of any size. With a box or points of ``hints``, px of the image, axes of the shaft
-    that do not pass near these are left out.
+    ``joints`` are the readings, rad, by name. ``rough`` is a mask of any size found by other means: it is looked
+    whether its sides are a shaft's, too. ``foreground`` are log-odds of instrument by a known background, of any size.
+    With a box or points on the instrument, axes of the shaft that do not pass near these are left out.
     """
-    instrument = body.instrument
+    instrument, outside = body.instrument, prompts.outside
     if instrument.shaft is None:
         return []
     (fine, _), (size, _) = (size_within(image.shape, longest) for longest in (_LINES, REDUCED))
     lines = shrunk(image, _LINES).max(axis=2)
     seen = outside if foreground is None else outside | ~resized(_near_foreground(foreground), outside.shape[1::-1])
-    pairs = find_pairs(
-        lines,
-        camera.scaled(*fine),
-        instrument.shaft.radius,
-        resized(seen, fine),
-        _PAIRS if hints is None else _MOST_PAIRS,
-    )
-    if hints is not None:
-        pairs = [pair for pair in pairs if _passes_near(pair, hints, camera, instrument.shaft.radius)][:_PAIRS]
+    radius, most = instrument.shaft.radius, _MOST_PAIRS if prompts.given else _PAIRS
+    pairs = find_pairs(lines, camera.scaled(*fine), radius, resized(seen, fine), most)
+    pairs = [pair for pair in pairs if _passes_near(pair, prompts, camera, radius)][:_PAIRS]
     if rough is not None:
-        pair = pair_of_mask(rough, camera.scaled(rough.shape[1], rough.shape[0]), instrument.shaft.radius)
+        pair = pair_of_mask(rough, camera.scaled(rough.shape[1], rough.shape[0]), radius)
         pairs += [] if pair is None else [pair]
     if not pairs:
         return []
@@ -199,19 +192,19 @@ def find_instruments(
             return []
         begin = [found.at for own in kept for found in own]
     slid, _ = _best_of_each(ranked, [_slid(each, _ROLLS[0]) for each in begin])
-    last = instruments(_optimised(appearance, slid, scale, last_passes), most, 1)
+    last = instruments(_optimised(appearance, slid, scale, last_passes), _MOST, 1)
     return sorted((own[0] for own in last), key=lambda each: (each.confidence < GUESS, -each.score))
 
 
-def _passes_near(pair: Pair, hints: Hints, camera: Camera, radius: float) -> bool:
+def _passes_near(pair: Pair, prompts: Prompts, camera: Camera, radius: float) -> bool:
     """Whether the axis of a pair passes near all points on the instrument, and meets the box around it."""
     axis = pair.point + np.linspace(pair.begin, pair.end, _TRIED)[:, None] * pair.direction
     pixels, near = camera.project(axis), _NEAR_PROMPT * 2 * radius * camera.fx / axis[:, 2]
-    if not all((np.linalg.norm(pixels - point, axis=1) < near).any() for point in hints.points):
+    if not all((np.linalg.norm(pixels - point, axis=1) < near).any() for point in prompts.points):
         return False
-    if hints.box is None:
+    if prompts.box is None:
         return True
-    low, high = np.array(hints.box[:2]), np.array(hints.box[2:])
+    low, high = np.array(prompts.box[:2]), np.array(prompts.box[2:])
     return bool(((pixels > low - near[:, None]) & (pixels < high + near[:, None])).all(axis=1).any())
 
 

@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.geometry import Bool, Float32, Image
 from dvrk_cmaes.segment.around import segmentation_around
 from dvrk_cmaes.segment.colours import (
@@ -27,7 +26,7 @@ from dvrk_cmaes.segment.confidence import assess_mask
 from dvrk_cmaes.segment.graph_cut import cut
 from dvrk_cmaes.segment.prompts import Prompts, draw_prompts
 from dvrk_cmaes.segment.regions import distance_to, fill_holes, instrument_region
-from dvrk_cmaes.segment.segmentation import Hints, Segmentation
+from dvrk_cmaes.segment.segmentation import Hints, Segmentation, nothing_found
 from dvrk_cmaes.segment.sizes import REDUCED, SMALLEST, resized, shrunk, size_within
 
 # lengths without a unit are fractions of the image's longer side
@@ -46,32 +45,29 @@ def rough_mask(image: Image, hints: Hints) -> Segmentation:
     height, width = image.shape[:2]
     small, scale = shrunk(image, REDUCED), size_within(image.shape, REDUCED)[1]
     if min(height, width) < SMALLEST:
-        return Segmentation(np.zeros(small.shape[:2], np.bool_), None, 0.0, ("no instrument found",))
-    prompts = draw_prompts(small.shape, scale, hints.box, hints.points, hints.not_points)
-    prompts = prompts.with_outside(outside_view(small))
+        return nothing_found(small.shape)
+    prompts = draw_prompts(small, hints, scale)
     colours = measure_colours(small)
-    prior = greyness_log_odds(colours, prompts.around_box, prompts.tool, any_colour=prompts.box is not None)
+    around_box = None if hints.box is None else prompts.background & ~prompts.outside
+    prior = greyness_log_odds(colours, around_box, prompts.tool)
     table = ColourTable(colours)
     mask = _iterate_cuts(colours, table, prior, prompts)
     odds = local_colour_log_odds(table, mask)
     verdict = assess_mask(mask, np.s_[:, :], odds, colours, prompts=prompts)
-    return Segmentation(mask, None, verdict.confidence, verdict.notes)
+    return Segmentation(mask, verdict.confidence, verdict.notes)
 
 
-def segment_classic(image: Image, hints: Hints, rough: Segmentation) -> Segmentation:
+def segment_classic(image: Image, prompts: Prompts, rough: Segmentation) -> Segmentation:
     """Segment the instrument in an image (H, W, 3) uint8 BGR, given its `rough_mask`."""
-    if not rough.mask.any():
-        return Segmentation(np.zeros(image.shape[:2], np.bool_), None, 0.0, ("no instrument found",))
-    prompts = draw_prompts(image.shape, 1.0, hints.box, hints.points, hints.not_points)
-    prompts = prompts.with_outside(outside_view(image))
     found = segmentation_around(image, resized(rough.mask, (image.shape[1], image.shape[0])), prompts, rough=True)
-    return found if prompts.outside is None else replace(found, mask=found.mask & ~prompts.outside)
+    return replace(found, mask=found.mask & ~prompts.outside)
 
 
 def _iterate_cuts(colours: Colours, table: ColourTable, prior: Float32, prompts: Prompts) -> Bool:
     """Alternate graph cut and colour histograms, starting from the log-odds ``prior`` (H, W); returns a mask (H, W)."""
     longer = max(colours.shape)
-    mask = instrument_region(_cut(prior, colours, prompts), GAP * longer, prompts)
+    mask = cut(prior, colours.guide, background=prompts.background, tool=prompts.tool)
+    mask = instrument_region(mask, GAP * longer, prompts)
     for unseen, iterations in _SCHEDULE:
         for _ in range(iterations):
             if not mask.any():
@@ -80,16 +76,9 @@ def _iterate_cuts(colours: Colours, table: ColourTable, prior: Float32, prompts:
             odds = table.log_odds(mask, (away > 2) & (away < _AROUND * longer), unseen=unseen)
             odds = np.clip(odds, -LARGEST_COLOUR_ODDS, LARGEST_COLOUR_ODDS)
             odds += _PRIOR_WEIGHT * np.clip(prior, -_LARGEST_PRIOR, _LARGEST_PRIOR)
-            before, mask = mask, _cut(odds, colours, prompts, away > _REACH * longer)
+            far = prompts.background | (away > _REACH * longer)
+            before, mask = mask, cut(odds, colours.guide, background=far, tool=prompts.tool)
             mask = instrument_region(mask, GAP * longer, prompts)
             if (before & mask).sum() > _CONVERGED * (before | mask).sum():
                 break
     return fill_holes(mask)
-
-
-def _cut(odds: Float32, colours: Colours, prompts: Prompts, far: Bool | None = None) -> Bool:
-    """Cut by log-odds (H, W); prompts fix the labels of their pixels, and pixels of ``far`` (H, W) are background."""
-    background = prompts.background
-    if far is not None:
-        background = far if background is None else background | far
-    return cut(odds, colours.guide, background=background, tool=prompts.tool)

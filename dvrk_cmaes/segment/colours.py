@@ -73,35 +73,32 @@ def measure_colours(image: NDArray[np.uint8]) -> Colours:
     return Colours(smooth, noise, features, brightness, saturation)
 
 
-def greyness_log_odds(
-    colours: Colours, background: Bool | None = None, tool: Bool | None = None, *, any_colour: bool = False
-) -> Float32:
+def greyness_log_odds(colours: Colours, around_box: Bool | None, tool: Bool) -> Float32:
     """Return log-odds of instrument against background (H, W), by the distances of colours from rays through black.
 
     Parameters
     ----------
     colours
         Colours of the image.
-    background
-        (H, W), pixels known to be background, from which the background's rays are taken; by default the pixels whose
-        saturation is above Otsu's threshold.
+    around_box
+        (H, W), pixels around a box that the instrument is in, from which the background's rays are taken; without, the
+        pixels whose saturation is above Otsu's threshold. In a box, the instrument may have any colour: the log-odds
+        against a pixel that is far from the instrument's rays are bounded, so that one far from the background's rays
+        too is taken for instrument.
     tool
         (H, W), pixels known to be instrument; their mean direction is a further ray of the instrument.
-    any_colour
-        Whether the instrument may have any colour: the log-odds against a pixel that is far from the instrument's rays
-        are bounded, so that one far from the background's rays too is taken for instrument.
     """
     lit = colours.brightness > 6 * colours.noise
-    if background is None:
+    if around_box is None:
         background = lit & (colours.saturation > _threshold(colours.saturation[lit]))
-    elif (background & lit).any():
-        background = background & lit
+    else:
+        background = around_box & lit if (around_box & lit).any() else around_box
     if not background.any():
         return np.zeros(colours.shape, np.float32)
-    rays = [_GREY] if tool is None else [_GREY, *_rays(colours.smooth[tool], 1)]
+    rays = [_GREY, *(_rays(colours.smooth[tool], 1) if tool.any() else ())]
     from_background = _ray_distance(colours, _rays(colours.smooth[background], _RAYS), _DEVIATION["background"])
     from_tool = _ray_distance(colours, rays, _DEVIATION["tool"])
-    if any_colour:
+    if around_box is not None:
         from_tool = np.minimum(from_tool, _LARGEST_COLOUR_PENALTY)
     return np.asarray(np.minimum(from_background, _LARGEST_TOOL_ODDS) - from_tool, np.float32)
 

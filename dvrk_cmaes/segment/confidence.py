@@ -17,7 +17,7 @@ from dvrk_cmaes.evidence.outline_noise import sampled, signed_distance
 from dvrk_cmaes.geometry import Bool, Float32
 from dvrk_cmaes.segment.colours import Colours
 from dvrk_cmaes.segment.prompts import Prompts
-from dvrk_cmaes.segment.regions import border_contact, meets_border
+from dvrk_cmaes.segment.regions import meets_border, sides_met
 
 _BAND = (2.0, 12.0)  # px, distances from the outline between which colours are compared
 _ACROSS = 4.0  # px, distance of the two points on either side of the outline whose difference is measured
@@ -134,13 +134,13 @@ def _changes(away: Float32, colours: Colours, level: float, reaches: Sequence[fl
 def _plausibility(mask: Bool, prompts: Prompts) -> tuple[float, list[str]]:
     """Return the plausibility of a mask, 0 to 1, by size, border contact and pieces; and a message for each defect."""
     likely, notes = 1.0, []
-    border, share = border_contact(mask), float(mask.mean())
+    sides, share = sides_met(mask), float(mask.mean())
     if not prompts.given and not meets_border(mask, prompts.outside):
         likely *= _NO_BORDER_CONTACT
         notes.append("the mask does not come in from the image's border, as instruments do")
-    if border.sides > _MOST_SIDES:
+    if sides > _MOST_SIDES:
         likely *= 0.5
-        notes.append(f"the mask meets {border.sides} sides of the image")
+        notes.append(f"the mask meets {sides} sides of the image")
     if not prompts.given and share < _LEAST_AREA:
         likely *= 0.5
         notes.append(f"the mask is small: {100 * share:.2g} % of the image")

@@ -25,9 +25,8 @@ def cut(
     log_odds: Float32,
     guide: Float32,
     *,
-    background: Bool | None = None,
-    tool: Bool | None = None,
-    weight: float = 1.0,
+    background: Bool,
+    tool: Bool,
 ) -> Bool:
     """Label pixels as instrument or background by a minimum cut.
 
@@ -39,8 +38,6 @@ def cut(
         (H, W, 2); the outline costs less where these change.
     background, tool
         (H, W), pixels whose label is given.
-    weight
-        Factor on the weight of the log-odds against the length of the outline.
 
     Returns
     -------
@@ -53,20 +50,16 @@ def cut(
         low, high = np.percentile(guide[..., k], [1, 99])
         picture[..., 1 + k] = np.clip((guide[..., k] - low) / (high - low + 1e-6) * _GUIDE, 0, 255)
     labels = np.full(log_odds.shape, cv2.GC_PR_FGD, np.uint8)
-    if background is not None:
-        labels[background] = cv2.GC_BGD
-    if tool is not None:
-        labels[tool] = cv2.GC_FGD
-    cv2.grabCut(
-        picture, labels, (0, 0, 1, 1), _mixture(0, weight), _mixture(_RANGE, weight), 1, cv2.GC_EVAL_FREEZE_MODEL
-    )
+    labels[background] = cv2.GC_BGD
+    labels[tool] = cv2.GC_FGD
+    cv2.grabCut(picture, labels, (0, 0, 1, 1), _mixture(0), _mixture(_RANGE), 1, cv2.GC_EVAL_FREEZE_MODEL)
     return np.asarray((labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD))
 
 
-def _mixture(mean: float, weight: float) -> NDArray[np.float64]:
+def _mixture(mean: float) -> NDArray[np.float64]:
     """Return GrabCut's model (1, 65) with one Gaussian of weight 1: five weights, five means, five covariances."""
-    # the log-odds differ by range^2 / variance over the channel's range, to be 2 * LARGEST * _WEIGHT * weight
-    variance = _RANGE**2 / (2 * LARGEST * _WEIGHT * weight)
+    # the log-odds differ by range^2 / variance over the channel's range, to be 2 * LARGEST * _WEIGHT
+    variance = _RANGE**2 / (2 * LARGEST * _WEIGHT)
     model = np.zeros((1, 65))
     model[0, 0] = 1
     model[0, 5:8] = mean, _GUIDE / 2, _GUIDE / 2

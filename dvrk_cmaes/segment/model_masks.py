@@ -16,15 +16,14 @@ import numpy as np
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.evidence.outline_noise import signed_distance
-from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.frames.seen_view import overlap_of
 from dvrk_cmaes.geometry import Bool, Float32, Image
 from dvrk_cmaes.segment.around import mask_around, segmentation_around
 from dvrk_cmaes.segment.by_model import Candidate, assumed_camera, find_instruments
 from dvrk_cmaes.segment.colours import ColourTable, measure_colours
-from dvrk_cmaes.segment.prompts import Prompts, draw_prompts
+from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.regions import distance_to
-from dvrk_cmaes.segment.segmentation import GUESS, Hints, Segmentation, noted
+from dvrk_cmaes.segment.segmentation import GUESS, Segmentation, nothing_found
 from dvrk_cmaes.segment.shaft_pairs import pair_of_mask
 from dvrk_cmaes.segment.sizes import FINEST, resized, shrunk, size_within
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -68,9 +67,7 @@ def _rough_mask(image: Image, shaft: Bool, whole: Bool, width: float, prompts: P
     table, mask = ColourTable(measure_colours(image)), whole
     for _ in range(_PASSES):
         away = distance_to(mask)
-        surroundings = (away > _AROUND[0] * width) & (away < _AROUND[1] * width) & ~unsure
-        if prompts.outside is not None:
-            surroundings &= ~prompts.outside
+        surroundings = (away > _AROUND[0] * width) & (away < _AROUND[1] * width) & ~unsure & ~prompts.outside
         odds = np.clip(table.log_odds(mask, surroundings, unseen=_UNSEEN), -_LARGEST, _LARGEST).astype(np.float32)
         found = mask_around(
             image,
@@ -95,7 +92,7 @@ def segment_by_model(
     body: Body,
     camera: Camera | None,
     joints: Mapping[str, float] | None,
-    hints: Hints,
+    prompts: Prompts,
     rough: Callable[[], Segmentation],
     otherwise: Callable[[], Segmentation],
     foreground: Float32 | None = None,
@@ -108,7 +105,7 @@ def segment_by_model(
         (H, W, 3) uint8, BGR.
     body, camera, joints
         The instrument, the camera (one as of most endoscopes is assumed without), and readings by name, rad.
-    hints
+    prompts
         Prompts: the best instrument that fits them is taken.
     rough, otherwise
         Functions that find a mask by other means, at a reduced size, and at full size where that is no guess or no
@@ -121,13 +118,11 @@ def segment_by_model(
     """
     height, width = image.shape[:2]
     camera = assumed_camera(width, height) if camera is None else camera
-    outside = outside_view(image)
-    prompts = draw_prompts(image.shape, 1.0, hints.box, hints.points, hints.not_points).with_outside(outside)
+    outside = prompts.outside
     roughly = rough()
     sure = roughly.confidence >= GUESS
     about = roughly.mask if sure and roughly.mask.any() and not roughly.mask.all() else None
-    near = hints if prompts.given else None
-    candidates = find_instruments(image, outside, body, camera, joints, rough=about, foreground=foreground, hints=near)
+    candidates = find_instruments(image, prompts, body, camera, joints, about, foreground)
     sure = sure and foreground is None
     likely = [each for each in candidates if each.confidence >= GUESS]
     found = [each for each in likely if _fits(each, prompts, image)]
@@ -135,11 +130,10 @@ def segment_by_model(
     def by_colours() -> Segmentation:
         other = otherwise()
         if prompts.given and other.mask.mean() > _LARGEST_BY_PROMPT:
-            nothing = ("no instrument found",)
-            return Segmentation(np.zeros(outside.shape, np.bool_), None, 0.0, nothing)
+            return nothing_found(image.shape)
         if other.confidence < GUESS or _is_alike(other.mask, candidates, body, camera):
             return other
-        return replace(other, confidence=_UNLIKE, notes=("a guess", *other.notes, "its shape is not the instrument's"))
+        return replace(other, confidence=_UNLIKE, notes=(*other.notes, "its shape is not the instrument's"))
 
     if not found:
         last, best = by_colours(), next((each for each in candidates if _fits(each, prompts, image)), None)
@@ -224,8 +218,8 @@ def mask_of_candidate(
         mask = segmentation_around(image, whole, prompts, colours=foreground, local=False, free=free)
     agreed = min(_overlap(found, mask.mask) / _AGREES, 1.0)
     if foreground is not None:  # dark before dark, colours and edges say little
-        return noted(replace(mask, confidence=agreed * (mask.confidence + found.confidence) / 2, notes=()))
-    return noted(replace(mask, confidence=agreed * min(mask.confidence, found.confidence), before=None))
+        return replace(mask, confidence=agreed * (mask.confidence + found.confidence) / 2, notes=())
+    return replace(mask, confidence=agreed * min(mask.confidence, found.confidence), before=None)
 
 
 def _fits(found: Candidate, prompts: Prompts, image: Image) -> bool:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.draw.canvas import DARK, GREEN, ORANGE, SKY_BLUE, VERMILLION, WHITE, YELLOW, Canvas, strip
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.segment import Box, Pixel, Segmentation
-from dvrk_cmaes.segment.segmentation import GUESS
+from dvrk_cmaes.segment.segmentation import GUESS, Hints, Pixel, Segmentation
 
 _WIDTH = 960  # px, least width of the drawing
 _FADED = 0.45  # share of the dark colour that is mixed into the background
@@ -21,10 +18,7 @@ def draw_segmentation(
     image: NDArray[np.uint8],
     segmentation: Segmentation,
     name: str,
-    *,
-    box: Box | None = None,
-    points: Sequence[Pixel] = (),
-    not_points: Sequence[Pixel] = (),
+    hints: Hints,
 ) -> NDArray[np.uint8]:
     """Draw a mask over its image.
 
@@ -36,8 +30,8 @@ def draw_segmentation(
         The mask, its confidence and notes.
     name
         Title of the drawing.
-    box, points, not_points
-        Prompts, as in `dvrk_cmaes.segment.segment`.
+    hints
+        Prompts, which are drawn, too.
 
     Returns
     -------
@@ -55,13 +49,13 @@ def draw_segmentation(
     def at(pixel: Pixel) -> Float64:
         return np.asarray((np.array(pixel) + 0.5) * scale - 0.5)
 
-    if box is not None:
-        left, top, right, bottom = box
+    if hints.box is not None:
+        left, top, right, bottom = hints.box
         corners = [(left, top), (right, top), (right, bottom), (left, bottom), (left, top)]
         canvas.line(np.stack([at(corner) for corner in corners]), SKY_BLUE, dash=(10, 6))
-    for pixel in points:
+    for pixel in hints.points:
         canvas.ring(at(pixel), GREEN)
-    for pixel in not_points:
+    for pixel in hints.not_points:
         canvas.cross(at(pixel), VERMILLION)
     return np.concatenate([_header(segmentation, name, size[0], canvas.unit), canvas.image])
 

@@ -6,8 +6,6 @@ separates the wrist from the shaft.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -21,38 +19,20 @@ _LEAST_SHARE = 0.004  # least area of a further piece, as a fraction of the chos
 _LARGEST_HOLE = 0.01  # largest area of a hole that is filled, as a fraction of the image
 
 
-@dataclass(frozen=True)
-class Border:
-    """Numbers of a mask's pixels on the left, top, right and bottom border of the image."""
-
-    left: int
-    top: int
-    right: int
-    bottom: int
-
-    @property
-    def pixels(self) -> int:
-        """Sum over the four sides."""
-        return self.left + self.top + self.right + self.bottom
-
-    @property
-    def sides(self) -> int:
-        """Number of sides that the mask meets with at least 5 pixels."""
-        return sum(count >= _LEAST_BORDER for count in (self.left, self.top, self.right, self.bottom))
-
-
-def meets_border(mask: Bool, outside: Bool | None = None) -> bool:
+def meets_border(mask: Bool, outside: Bool) -> bool:
     """Whether a mask (H, W) meets the image's border or the pixels ``outside`` (H, W) the field of view."""
-    pixels = border_contact(mask).pixels
-    if outside is not None:
-        pixels += int((cv2.dilate(outside.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(np.bool_) & mask).sum())
-    return pixels >= _LEAST_BORDER
+    around = cv2.dilate(outside.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    return int(_on_sides(mask).sum() + (around & mask).sum()) >= _LEAST_BORDER
 
 
-def border_contact(mask: Bool) -> Border:
-    """Count the pixels of a mask (H, W) on each side of the image's border."""
-    sides = mask[:, 0], mask[0], mask[:, -1], mask[-1]
-    return Border(*(int(side.sum()) for side in sides))
+def sides_met(mask: Bool) -> int:
+    """Return the number of the image's sides that a mask (H, W) meets with at least 5 pixels."""
+    return int((_on_sides(mask) >= _LEAST_BORDER).sum())
+
+
+def _on_sides(mask: Bool) -> NDArray[np.int64]:
+    """Count the pixels of a mask (H, W) on the left, top, right and bottom border of the image, (4,)."""
+    return np.array([side.sum() for side in (mask[:, 0], mask[0], mask[:, -1], mask[-1])])
 
 
 def instrument_region(mask: Bool, gap: float, prompts: Prompts) -> Bool:
@@ -81,7 +61,11 @@ def instrument_region(mask: Bool, gap: float, prompts: Prompts) -> Bool:
     marked = {int(labels[round(v), round(u)]) for u, v in prompts.points} - {0}
     areas = measures[:, cv2.CC_STAT_AREA].astype(np.float64)
     areas[0] = 0
-    chosen = marked or {max(range(1, count), key=lambda i: areas[i] * _border_weight(labels == i, prompts))}
+
+    def weighted(i: int) -> float:
+        return float(areas[i]) * (1.0 if meets_border(labels == i, prompts.outside) else _INSIDE_SHARE)
+
+    chosen = marked or {max(range(1, count), key=weighted)}
     least = _LEAST_SHARE * max(areas[i] for i in chosen)
     pieces = [i for i in range(1, count) if i not in chosen and areas[i] >= least]
     while pieces:
@@ -115,11 +99,6 @@ def _regions(mask: Bool, connectivity: int) -> tuple[int, NDArray[np.int32], NDA
     """Label the regions of a mask; returns the number of labels with the background's 0, labels (H, W), statistics."""
     count, labels, measures, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=connectivity)
     return count, np.asarray(labels, np.int32), np.asarray(measures, np.int32)
-
-
-def _border_weight(region: Bool, prompts: Prompts) -> float:
-    """Return the weight of a region's area: 1 if it meets the border, less otherwise."""
-    return 1.0 if meets_border(region, prompts.outside) else _INSIDE_SHARE
 
 
 def _window(measures: NDArray[np.int32]) -> tuple[slice, slice]:

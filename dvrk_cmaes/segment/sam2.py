@@ -38,7 +38,7 @@ from dvrk_cmaes.geometry import Float32
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.short_text import listed, no_folder
 from dvrk_cmaes.segment.regions import distance_to
-from dvrk_cmaes.segment.segmentation import Box, Pixel, Segmentation, check_prompts
+from dvrk_cmaes.segment.segmentation import Hints, Segmentation, check_prompts
 
 Tensors = dict[str, NDArray[Any]]
 
@@ -116,7 +116,7 @@ def open_export(folder: Path, threads: int) -> tuple[OnnxModel, OnnxModel]:
         models.append(model)
         got.append(f"{file.name} ({'encoder' if model.is_encoder else f'takes {listed(model.inputs)}'})")
     encoders = [each for each in models if each.is_encoder]
-    known = {*_BY_POSITION, *_prompt((SIDE, SIDE), None, (), ())}.union(*(each.outputs for each in encoders))
+    known = {*_BY_POSITION, *_prompt((SIDE, SIDE), Hints())}.union(*(each.outputs for each in encoders))
     decoders = [each for each in models if not each.is_encoder and known.issuperset(each.inputs)]
     pairs = [(one, other) for one in encoders for other in decoders]
     if len(pairs) != 1:
@@ -172,10 +172,7 @@ class Sam2:
     def segment(
         self,
         image: NDArray[np.uint8],
-        *,
-        box: Box | None = None,
-        points: Sequence[Pixel] = (),
-        not_points: Sequence[Pixel] = (),
+        hints: Hints,
     ) -> Segmentation:
         """Segment the object that all prompts together indicate.
 
@@ -183,16 +180,14 @@ class Sam2:
         ----------
         image
             (H, W, 3) uint8, BGR. If it is the image of the last call, its features are not computed again.
-        box
-            Left, top, right, bottom of a box around the instrument, px.
-        points, not_points
-            Pixels (u, v) on the instrument, and pixels that are not.
+        hints
+            A box or a point on the instrument, and pixels that are not.
 
         Returns
         -------
         Segmentation
-            ``score`` is the probability of instrument at each pixel. ``confidence`` is the predicted IoU, or the
-            predicted probability that there is an object at the prompt if the export gives it and it is less.
+            ``confidence`` is the predicted IoU, or the predicted probability that there is an object at the prompt if
+            the export gives it and it is less.
 
         Raises
         ------
@@ -202,11 +197,11 @@ class Sam2:
             The model fails, or its outputs are not masks of finite values.
         """
         image = np.asarray(image)
-        check_prompts(image, box, points, not_points)
-        if box is None and not points:
+        check_prompts(image, hints)
+        if hints.box is None and not hints.points:
             raise InputError("prompt: Segment Anything 2 needs a box or a point on the instrument, got neither")
         shape = (image.shape[0], image.shape[1])
-        outputs = self._decoder.run(self._features(image) | _prompt(shape, box, points, not_points))
+        outputs = self._decoder.run(self._features(image) | _prompt(shape, hints))
         overlaps = self._output(outputs, _OVERLAPS, 1).reshape(-1)
         masks = self._output(outputs, _MASKS, 0)
         if not overlaps.size or masks.ndim < 3 or masks.size != overlaps.size * masks.shape[-2] * masks.shape[-1]:
@@ -217,14 +212,14 @@ class Sam2:
         logits = resize_logits(masks.reshape(overlaps.size, *masks.shape[-2:])[int(overlaps.argmax())], shape)
         mask, confidence = logits > 0, float(np.clip(overlaps.max(), 0, 1))
         if not mask.any():
-            return Segmentation(mask, _probability(logits), 0.0, ("the model found nothing at the prompt",))
+            return Segmentation(mask, 0.0, ("the model found nothing at the prompt",))
         notes: tuple[str, ...] = ()
         if _PRESENCE in outputs:
-            presence = float(_probability(self._output(outputs, (_PRESENCE,), 0)).reshape(-1)[0])
+            presence = float(1 / (1 + np.exp(-np.clip(self._output(outputs, (_PRESENCE,), 0).reshape(-1)[0], -60, 60))))
             confidence = min(confidence, presence)
             if presence < 0.5:
                 notes = (f"the model doubts that there is an object at the prompt (probability {presence:.2f})",)
-        return Segmentation(mask, _probability(logits), confidence, notes)
+        return Segmentation(mask, confidence, notes)
 
     def _features(self, image: NDArray[np.uint8]) -> Tensors:
         """Return the features of an image, from the last call if the image is the same."""
@@ -253,10 +248,7 @@ def segment_sam2(
     image: NDArray[np.uint8],
     weights: Path,
     threads: int,
-    *,
-    box: Box | None = None,
-    points: Sequence[Pixel] = (),
-    not_points: Sequence[Pixel] = (),
+    hints: Hints,
     otherwise: Callable[[], Segmentation],
 ) -> Segmentation:
     """Segment the instrument as `Sam2.segment` does; without a box or a point, by those of the ``classic`` mask.
@@ -267,27 +259,28 @@ def segment_sam2(
     ``otherwise``, which returns the ``classic`` mask, finds no instrument.
     """
     model = load_sam2(weights, threads)
-    if box is not None or points:
-        return model.segment(image, box=box, points=points, not_points=not_points)
+    if hints.box is not None or hints.points:
+        return model.segment(image, hints)
     guess = otherwise()
     if not guess.mask.any():
         raise InputError("prompt: Segment Anything 2 needs a box or a point; without one, classic found no instrument")
     left, top, width, height = window_around(guess.mask, margin=0)
     v, u = np.unravel_index(int(distance_to(~guess.mask).argmax()), guess.mask.shape)
     box = left, top, left + width - 1, top + height - 1
-    segmentation = model.segment(image, box=box, points=[(float(u), float(v))], not_points=not_points)
+    segmentation = model.segment(image, Hints(box, [(float(u), float(v))], hints.not_points))
     note = f"no prompt: asked by box and point of the classic segmentation (confidence {guess.confidence:.2f})"
     confidence = min(segmentation.confidence, guess.confidence)
     return replace(segmentation, confidence=confidence, notes=(note, *segmentation.notes))
 
 
-def _prompt(shape: tuple[int, int], box: Box | None, points: Sequence[Pixel], not_points: Sequence[Pixel]) -> Tensors:
+def _prompt(shape: tuple[int, int], hints: Hints) -> Tensors:
     """Return prompts as the inputs of all decoders; a box is clipped to the border of an image of a shape (H, W)."""
     height, width = shape
     to_square = SIDE / width, SIDE / height
-    pixels = np.array([*points, *not_points], np.float64).reshape(-1, 2) * to_square
-    labels = np.array([_ON] * len(points) + [_OFF] * len(not_points), np.int64)
-    corners = np.zeros((0, 2)) if box is None else np.clip(np.reshape(box, (2, 2)), 0, (width, height)) * to_square
+    pixels = np.array([*hints.points, *hints.not_points], np.float64).reshape(-1, 2) * to_square
+    labels = np.array([_ON] * len(hints.points) + [_OFF] * len(hints.not_points), np.int64)
+    corners = np.array([] if hints.box is None else hints.box).reshape(-1, 2)
+    corners = np.clip(corners, 0, (width, height)) * to_square
     of_corners = [_BOX_START, _BOX_END][: len(corners)]
     no_mask, has_no_mask = np.zeros((1, 1, SIDE // 4, SIDE // 4), np.float32), np.zeros(1, np.float32)
     return {
@@ -317,8 +310,3 @@ def _encoder_input(image: NDArray[np.uint8]) -> Float32:
 def resize_logits(logits: Float32, shape: tuple[int, int]) -> Float32:
     """Interpolate mask logits (h, w) bilinearly to an image's height and width."""
     return np.asarray(cv2.resize(logits, shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
-
-
-def _probability(logits: Float32) -> Float32:
-    """Turn logits of any shape into probabilities by the logistic function."""
-    return np.asarray(1 / (1 + np.exp(-np.clip(logits, -60, 60))), np.float32)

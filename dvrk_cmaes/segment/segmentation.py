@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -29,7 +29,6 @@ class Segmentation:
     """Mask of the instrument in an image, with a confidence.
 
     mask : (H, W) bool, True on the instrument.
-    score : (H, W) float32, probability of instrument at each pixel, 0 to 1; None if there is none.
     confidence : 0 to 1; below 0.5, the mask is called a guess.
     notes : messages for the user about the mask.
     before : the background that the instrument was segmented against, if there was one.
@@ -37,17 +36,15 @@ class Segmentation:
     """
 
     mask: NDArray[np.bool_]
-    score: NDArray[np.float32] | None = None
     confidence: float = 1.0
     notes: tuple[str, ...] = field(default=())
     before: Background | None = None
     others: tuple[Segmentation, ...] = ()
 
 
-def noted(found: Segmentation) -> Segmentation:
-    """Return a segmentation that says if it is a guess."""
-    stated = found.confidence >= GUESS or "a guess" in found.notes
-    return found if stated else replace(found, notes=("a guess", *found.notes))
+def nothing_found(shape: tuple[int, ...]) -> Segmentation:
+    """Return the empty mask of an image of a shape (H, W, ...)."""
+    return Segmentation(np.zeros(shape[:2], np.bool_), 0.0, ("no instrument found",))
 
 
 @dataclass(frozen=True)
@@ -83,39 +80,21 @@ def check_background(background: NDArray[np.uint8]) -> None:
         raise InputError(f"background: expected (h, w, 3) uint8, got {background.shape} {background.dtype}")
 
 
-def check_prompts(
-    image: NDArray[np.uint8], box: Box | None, points: Sequence[Pixel], not_points: Sequence[Pixel]
-) -> None:
-    """Raise InputError for an image that is not a colour image, or for prompts outside it.
-
-    Parameters
-    ----------
-    image
-        (H, W, 3) uint8, BGR.
-    box
-        Left, top, right, bottom in pixels, or None.
-    points, not_points
-        Pixels (u, v) on the instrument and off it.
-
-    Raises
-    ------
-    InputError
-        An array that is not (H, W, 3) uint8, a point outside the image, a box that is empty or outside the image.
-    """
+def check_prompts(image: NDArray[np.uint8], hints: Hints) -> None:
+    """Raise InputError for an image that is not (H, W, 3) uint8, a point outside it, or an empty box or one outside."""
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or not image.size:
         raise InputError(f"image: expected (H, W, 3) uint8, got {image.shape} {image.dtype}")
     height, width = image.shape[:2]
     size = f"the {width} x {height} image"
-    for name, pixels in (("point", points), ("not-point", not_points)):
+    for name, pixels in (("point", hints.points), ("not-point", hints.not_points)):
         for u, v in pixels:
             if not (math.isfinite(u) and math.isfinite(v) and -0.5 <= u < width - 0.5 and -0.5 <= v < height - 0.5):
                 raise InputError(f"{name}: expected a pixel of {size}, got {u:g},{v:g}")
-    if box is None:
+    if hints.box is None:
         return
-    left, top, right, bottom = box
-    if not all(math.isfinite(value) for value in box) or right <= left or bottom <= top:
-        raise InputError(
-            f"box: expected x0,y0,x1,y1 with x0 < x1 and y0 < y1, got {','.join(f'{value:g}' for value in box)}"
-        )
+    left, top, right, bottom = hints.box
+    got = ",".join(f"{value:g}" for value in hints.box)
+    if not all(math.isfinite(value) for value in hints.box) or right <= left or bottom <= top:
+        raise InputError(f"box: expected x0,y0,x1,y1 with x0 < x1 and y0 < y1, got {got}")
     if left >= width - 0.5 or top >= height - 0.5 or right < -0.5 or bottom < -0.5:
-        raise InputError(f"box: expected one that meets {size}, got {','.join(f'{value:g}' for value in box)}")
+        raise InputError(f"box: expected one that meets {size}, got {got}")

@@ -49,9 +49,7 @@ def segment_first(
     """
     segmentation = segment(
         image,
-        box=hints.box,
-        points=hints.points,
-        not_points=hints.not_points,
+        **vars(hints),
         model=settings.model,
         weights=settings.weights,
         threads=threads,
@@ -72,18 +70,15 @@ def segment_again(
     ignore: Bool | None,
     *,
     hints: Hints,
-    outside: Bool,
 ) -> Segmentation | None:
     """Segment an image (H, W, 3) BGR with a silhouette (H, W) as prior.
 
-    ``mask`` (H, W) is the mask that the silhouette's pose was fitted to, ``outside`` (H, W) are the pixels outside the
-    field of view. Returns None where silhouette and mask overlap too little for a prior, or where no pixel is taken for
-    the instrument.
+    ``mask`` (H, W) is the mask that the silhouette's pose was fitted to. Returns None where silhouette and mask overlap
+    too little for a prior, or where no pixel is taken for the instrument.
     """
     if _overlap(silhouette, mask, ignore) < _LEAST_OVERLAP:
         return None
-    prompts = draw_prompts(image.shape, 1.0, hints.box, hints.points, hints.not_points).with_outside(outside)
-    segmentation = segmentation_around(image, silhouette, prompts)
+    segmentation = segmentation_around(image, silhouette, draw_prompts(image, hints))
     return segmentation if segmentation.mask.any() else None
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.geometry import Bool, Float32, Image
 from dvrk_cmaes.segment import around
-from dvrk_cmaes.segment.prompts import Prompts
+from dvrk_cmaes.segment.prompts import no_prompts
 from dvrk_cmaes.segment.sizes import FINEST, resized, shrunk, size_within
 from dvrk_cmaes.track.histogram_ratio import ColourModel, bins_of
 
@@ -99,14 +99,16 @@ def mask_around(
     height, width = silhouette.shape
     size, scale = size_within(silhouette.shape, FINEST)
     small = shrunk(image, FINEST)
-    beside = None if outside is None else resized(outside, size)
+    prompts = no_prompts(small.shape)
+    if outside is not None:
+        prompts = prompts.with_outside(resized(outside, size))
     found = around.mask_around(
         small,
         resized(silhouette, size),
         around.FREE + spread * scale,
         colours=_by_colours(small, colours),
         local=False,
-        prompts=Prompts(background=beside, outside=beside),
+        prompts=prompts,
         passes=passes,
     )
     if found is None:

@@ -277,7 +277,7 @@ class ViewSegmenter:
             image = seen.images[view]
             if image is None:
                 continue
-            found = segment(image, box=hints.box, points=hints.points, not_points=hints.not_points)
+            found = segment(image, **vars(hints))
             if found.mask.any() and (hinted or found.confidence >= GUESS):  # with its own hints it is no guess
                 return {self._names[view]: found.mask}
         return {}

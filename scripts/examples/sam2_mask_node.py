@@ -18,6 +18,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CompressedImage, Image
 
 from dvrk_cmaes.segment.sam2 import Sam2
+from dvrk_cmaes.segment.segmentation import Hints
 
 IMAGES, MASKS = "/left/image_rect_color/compressed", "/left/mask"
 MARGIN = 20  # px, that the instrument may move between two images
@@ -32,7 +33,7 @@ def main(weights: str, corners: str) -> None:
 
     def publish_mask(message: Any) -> None:
         pixels = np.asarray(cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_COLOR), np.uint8)
-        mask = model.segment(pixels, box=around[0]).mask
+        mask = model.segment(pixels, Hints(box=around[0])).mask
         height, width = mask.shape
         u, v, across, down = cv2.boundingRect(mask.astype(np.uint8))
         far = min(u + across + MARGIN, width - 1), min(v + down + MARGIN, height - 1)

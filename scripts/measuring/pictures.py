@@ -164,7 +164,7 @@ def _posed(picture: Picture) -> tuple[Segmentation, bool | None, str]:
         files = FrameFiles(picture.name, None, picture.joints)
         found = segment_and_estimate(data, files, body, FrameMethod("classic", EstimateConfig()))
     except DvrkCmaesError:
-        return Segmentation(np.zeros(shape, np.bool_), None, 0.0), False, "failed"
+        return Segmentation(np.zeros(shape, np.bool_), 0.0), False, "failed"
     mask, result = found.segmentation, found.result
     if result.camera_from_root is None:
         return mask, False, result.status

@@ -140,7 +140,7 @@ def test_masks_by_sam2_are_those_of_the_session(
 ) -> None:
     session, found = tmp_path / "session", np.zeros((480, 640), np.bool_)
     found[100:300, 50:400] = True
-    monkeypatch.setattr("dvrk_cmaes.segment.model_masks.segment_by_model", lambda *_: Segmentation(found, None, 0.7))
+    monkeypatch.setattr("dvrk_cmaes.segment.model_masks.segment_by_model", lambda *_: Segmentation(found, 0.7))
     bar = np.full((480, 640, 3), (90, 90, 170), np.uint8)
     bar[150:250, 60:560] = TOOL[::-1]
     write_image(session / "images" / "0000.png", bar)

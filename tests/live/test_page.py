@@ -31,6 +31,7 @@ from dvrk_cmaes import prepare, read_session
 from dvrk_cmaes.cli import live as cli_live
 from dvrk_cmaes.cli.app import app
 from dvrk_cmaes.segment import segment
+from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.recording import write_recording
 from dvrk_cmaes.synth.session import SessionPlan
@@ -141,9 +142,9 @@ def test_node_of_masks_publishes_one_for_each_image(monkeypatch: pytest.MonkeyPa
         def __init__(self, weights: str) -> None:
             assert weights == "sam2"
 
-        def segment(self, image: np.ndarray, *, box: Any) -> Any:
-            boxes.append(box)
-            return segment(image, box=box)
+        def segment(self, image: np.ndarray, hints: Hints) -> Any:
+            boxes.append(hints.box)
+            return segment(image, box=hints.box)
 
     monkeypatch.setattr("dvrk_cmaes.segment.sam2.Sam2", Sam2)
     runpy.run_path(str(EXAMPLES / "sam2_mask_node.py"))["main"]("sam2", "350,10,639,440")

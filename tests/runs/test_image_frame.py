@@ -101,7 +101,7 @@ def test_found_mask_is_written_and_a_repeated_estimate_is_identical(
 def test_guessed_mask_makes_pose_doubtful(
     session: Session, bundled_body: Body, found: Found, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    guess = Segmentation(found[0].data.mask, None, 0.31)
+    guess = Segmentation(found[0].data.mask, 0.31)
     monkeypatch.setattr(image_frame, "segment_first", lambda *_, **__: guess)
     monkeypatch.setattr(image_frame, "segment_again", lambda *_, **__: None)
     result = solve_image(session, session.frames[0], bundled_body).result
@@ -113,8 +113,8 @@ def test_mask_around_a_pose_is_no_surer_and_keeps_the_other_instruments(
     session: Session, bundled_body: Body, found: Found, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     mask, which = found[0].data.mask, "two instruments, the left one taken (pass --point)"
-    other = Segmentation(np.zeros_like(mask), None, 0.6)
-    first = Segmentation(mask, None, 0.6, (which,), None, (other,))
+    other = Segmentation(np.zeros_like(mask), 0.6)
+    first = Segmentation(mask, 0.6, (which,), None, (other,))
     monkeypatch.setattr(image_frame, "segment_first", lambda *_, **__: first)
     frame = solve_image(session, session.frames[0], bundled_body)
     assert frame.segmentation.confidence == 0.6
@@ -125,8 +125,8 @@ def test_mask_around_a_pose_is_no_surer_and_keeps_the_other_instruments(
 def test_mask_around_a_pose_from_a_guess_is_called_a_guess(
     session: Session, bundled_body: Body, found: Found, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    why = "a guess", "its shape is not the instrument's"
-    monkeypatch.setattr(image_frame, "segment_first", lambda *_, **__: Segmentation(found[0].data.mask, None, 0.3, why))
+    why = ("its shape is not the instrument's",)
+    monkeypatch.setattr(image_frame, "segment_first", lambda *_, **__: Segmentation(found[0].data.mask, 0.3, why))
     frame = solve_image(session, session.frames[0], bundled_body)
     assert frame.segmentation.confidence == 0.3
     assert set(why) <= set(frame.result.warnings)

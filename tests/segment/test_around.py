@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dvrk_cmaes.segment.around import ROUGH, mask_around, segmentation_around
-from dvrk_cmaes.segment.prompts import Prompts
+from dvrk_cmaes.segment.prompts import no_prompts
 from dvrk_cmaes.segment.sizes import resized
 
 GREY, TISSUE = (120, 118, 116), (60, 70, 170)
@@ -68,7 +68,7 @@ def test_another_piece_of_the_same_colour_is_left_out() -> None:
 def test_a_prompt_gives_the_label_of_its_pixels() -> None:
     covered = np.zeros((160, 200), np.bool_)
     covered[40:60] = True
-    found = mask_around(picture(bar()), bar(), prompts=Prompts(background=covered))
+    found = mask_around(picture(bar()), bar(), prompts=no_prompts(covered.shape).with_outside(covered))
     assert found is not None
     assert not found.mask[covered].any()
     assert overlap(found.mask, bar() & ~covered) > 0.95
@@ -77,7 +77,7 @@ def test_a_prompt_gives_the_label_of_its_pixels() -> None:
 @pytest.mark.parametrize("flat", [np.zeros((160, 200), np.bool_), np.ones((160, 200), np.bool_)])
 def test_an_empty_or_full_silhouette_has_no_mask(flat: np.ndarray) -> None:
     assert mask_around(picture(bar()), flat) is None
-    found = segmentation_around(picture(bar()), flat, Prompts())
+    found = segmentation_around(picture(bar()), flat, no_prompts(flat.shape))
     assert not found.mask.any()
     assert found.confidence == 0
 
@@ -85,6 +85,8 @@ def test_an_empty_or_full_silhouette_has_no_mask(flat: np.ndarray) -> None:
 def test_a_large_image_has_the_same_mask_as_a_small_one() -> None:
     size = (1400, 1120)
     image = np.asarray(cv2.resize(picture(bar()), size, interpolation=cv2.INTER_LINEAR), np.uint8)
-    found = segmentation_around(image, np.roll(resized(bar(), size), 4, axis=1), Prompts())  # within the free band
+    found = segmentation_around(
+        image, np.roll(resized(bar(), size), 4, axis=1), no_prompts(image.shape)
+    )  # within the free band
     assert found.mask.shape == size[::-1]
     assert overlap(found.mask, resized(bar(), size)) > 0.97

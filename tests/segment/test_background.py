@@ -19,7 +19,7 @@ from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.runs.backgrounds import learned_backgrounds, with_backgrounds
 from dvrk_cmaes.segment import segment
 from dvrk_cmaes.segment.background import foreground_log_odds, learn_background, segment_before
-from dvrk_cmaes.segment.prompts import Prompts
+from dvrk_cmaes.segment.prompts import no_prompts
 from dvrk_cmaes.segment.segmentation import GUESS, SegmentSettings
 
 HEIGHT, WIDTH = 240, 320
@@ -152,7 +152,7 @@ def test_what_is_the_same_in_all_images_is_a_guess() -> None:
 
 def test_empty_table_has_no_instrument() -> None:
     background = learned_on("paper")
-    found = segment_before(background, foreground_log_odds(background, background), Prompts())
+    found = segment_before(background, foreground_log_odds(background, background), no_prompts(background.shape))
     assert not found.mask.any()
     assert found.confidence == 0
 

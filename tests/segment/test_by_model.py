@@ -14,7 +14,8 @@ from dvrk_cmaes.geometry import Posed, frame_along, rotation_about_z
 from dvrk_cmaes.segment import Segmentation, model_masks, segment
 from dvrk_cmaes.segment.by_model import find_instruments
 from dvrk_cmaes.segment.model_masks import segment_by_model
-from dvrk_cmaes.segment.segmentation import GUESS, Hints
+from dvrk_cmaes.segment.prompts import no_prompts
+from dvrk_cmaes.segment.segmentation import GUESS
 
 CAMERA = Camera(480, 384, 500.0, 500.0, 239.5, 191.5)
 BODY = prepare("lnd")
@@ -89,8 +90,7 @@ def test_a_point_chooses(two: tuple[np.ndarray, list[np.ndarray], Segmentation])
 
 def test_candidates_are_where_the_instruments_are_and_share_few_pixels() -> None:
     image, masks = drawn(RIGHT, seed=3)
-    outside = np.zeros(image.shape[:2], np.bool_)
-    found = find_instruments(image, outside, BODY, CAMERA)
+    found = find_instruments(image, no_prompts(image.shape), BODY, CAMERA)
     size = found[0].silhouette.shape[::-1]
     small = cv2.resize(masks[0].astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5
     assert overlap(found[0].silhouette, small) > 0.75
@@ -98,7 +98,7 @@ def test_candidates_are_where_the_instruments_are_and_share_few_pixels() -> None
     assert np.degrees(np.arccos(found[0].at.pose[:3, 2] @ axis)) < 8
     order = [(each.confidence < GUESS, -each.score) for each in found]
     assert order == sorted(order)
-    again = find_instruments(image, outside, BODY, CAMERA)
+    again = find_instruments(image, no_prompts(image.shape), BODY, CAMERA)
     assert np.array_equal(again[0].at.pose, found[0].at.pose)
 
 
@@ -108,7 +108,7 @@ def test_a_mask_by_other_means_of_both_instruments_is_divided(
     image, masks, _ = two
     monkeypatch.setattr(model_masks, "SAME", 0.3)
     both = Segmentation(masks[0] | masks[1], confidence=0.99)
-    found = segment_by_model(image, BODY, CAMERA, None, Hints(), lambda: both, lambda: both)
+    found = segment_by_model(image, BODY, CAMERA, None, no_prompts(image.shape), lambda: both, lambda: both)
     assert found.confidence == 0.99
     assert len(found.others) == 1
     for mask in masks:
@@ -139,7 +139,7 @@ def test_another_mask_is_taken_that_is_elsewhere_where_the_instrument_s_is_a_gue
         (mask, 0.1, False),
     ]:
         other = Segmentation(shown, confidence=confidence)
-        found = segment_by_model(image, BODY, CAMERA, None, Hints(), *2 * [lambda other=other: other])
+        found = segment_by_model(image, BODY, CAMERA, None, no_prompts(image.shape), *2 * [lambda other=other: other])
         assert (found is other) == taken
 
 
@@ -148,17 +148,16 @@ def test_an_unlikely_instrument_is_a_guess_where_nothing_else_is_found(
     confidence: float, taken: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     image, (mask,) = drawn(LEFT)
-    candidate = find_instruments(image, np.zeros_like(mask), BODY, CAMERA)[0]
+    candidate = find_instruments(image, no_prompts(image.shape), BODY, CAMERA)[0]
     less = (replace(candidate, measures=candidate.measures * share) for share in np.linspace(1.0, 0.0, 100))
     unlikely = next(each for each in less if each.confidence < confidence)
     monkeypatch.setattr(model_masks, "find_instruments", lambda *_, **__: [unlikely])
     nothing = Segmentation(np.zeros_like(mask), confidence=0.0)
-    found = segment_by_model(image, BODY, CAMERA, None, Hints(), lambda: nothing, lambda: nothing)
+    found = segment_by_model(image, BODY, CAMERA, None, no_prompts(image.shape), lambda: nothing, lambda: nothing)
     assert (found is not nothing) == taken
     assert found.confidence < GUESS
     if taken:
         assert overlap(found.mask, mask) > 0.9
-        assert found.notes[0] == "a guess"
 
 
 def test_what_lies_before_an_instrument_is_not_in_its_mask() -> None:
@@ -178,4 +177,4 @@ def test_a_plate_is_no_instrument() -> None:
 def test_a_picture_without_edges_has_no_candidates() -> None:
     image = np.full((120, 160, 3), 90, np.uint8)
     camera = CAMERA.scaled(160, 120)
-    assert find_instruments(image, np.zeros((120, 160), np.bool_), BODY, camera) == []
+    assert find_instruments(image, no_prompts(image.shape), BODY, camera) == []

@@ -11,6 +11,7 @@ from helpers.sam2_graphs import ALL_IOUS, FAMILIES, REACH, TOOL, write_export
 
 from dvrk_cmaes.segment import Segmentation, segment
 from dvrk_cmaes.segment.sam2 import OnnxModel, Sam2, resize_logits
+from dvrk_cmaes.segment.segmentation import Hints
 
 SIZES = [(480, 640), (1080, 1920), (900, 300), (1024, 1024), (200, 150)]
 
@@ -54,7 +55,7 @@ def assert_alike(found: Segmentation, expected: np.ndarray) -> None:
 def test_box_selects_instrument(model: Sam2, size: tuple[int, int]) -> None:
     image, bar = picture(*size)
     box = (size[1] * 0.3, size[0] * 0.2, size[1] * 0.6, size[0] * 0.6)
-    found = model.segment(image, box=box)
+    found = model.segment(image, Hints(box=box))
     assert_alike(found, bar & in_box(box, size))
     assert found.confidence == pytest.approx(0.93)
     assert found.notes == ()
@@ -64,20 +65,20 @@ def test_box_selects_instrument(model: Sam2, size: tuple[int, int]) -> None:
 def test_point_selects_instrument(model: Sam2, size: tuple[int, int]) -> None:
     image, bar = picture(*size)
     point = (size[1] * 0.3, size[0] * 0.5)
-    assert_alike(model.segment(image, points=[point]), bar & near(point, size))
+    assert_alike(model.segment(image, Hints(points=[point])), bar & near(point, size))
 
 
-def told(tmp_path: Path, family: str, monkeypatch: pytest.MonkeyPatch, **prompts: object) -> dict[str, np.ndarray]:
+def told(tmp_path: Path, family: str, monkeypatch: pytest.MonkeyPatch, hints: Hints) -> dict[str, np.ndarray]:
     """Give the input tensors of a family's decoder for prompts in an image of 640 x 480 px."""
     heard: list[dict[str, np.ndarray]] = []
     run = OnnxModel.run
     monkeypatch.setattr(OnnxModel, "run", lambda model, tensors: heard.append(tensors) or run(model, tensors))
-    Sam2(write_export(tmp_path, family), threads=1).segment(picture()[0], **prompts)  # type: ignore[arg-type]
+    Sam2(write_export(tmp_path, family), threads=1).segment(picture()[0], hints)
     return heard[-1]
 
 
 def test_box_is_clipped_to_image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    tensors = told(tmp_path, "osam", monkeypatch, box=(-50, -50, 320, 900))
+    tensors = told(tmp_path, "osam", monkeypatch, Hints(box=(-50, -50, 320, 900)))
     assert tensors["point_coords"].tolist() == [[[0, 0], [512, 1024]]]
 
 
@@ -91,7 +92,7 @@ def test_mask_with_highest_predicted_overlap_is_chosen(
 ) -> None:
     image, bar = picture()
     model = Sam2(write_export(tmp_path, family, chosen=chosen, ious=ious), threads=1)
-    found = model.segment(image, box=(0, 0, 639, 479))
+    found = model.segment(image, Hints(box=(0, 0, 639, 479)))
     assert_alike(found, bar if share == "right" else np.ones_like(bar))
     assert found.confidence == pytest.approx(max(ious))
 
@@ -99,7 +100,7 @@ def test_mask_with_highest_predicted_overlap_is_chosen(
 def test_classic_segmentation_gives_default_box_and_point(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     image, bar = picture()
     guess = bar & (np.arange(640) < 300)
-    monkeypatch.setattr("dvrk_cmaes.segment.classic.segment_classic", lambda *_, **__: Segmentation(guess, None, 0.6))
+    monkeypatch.setattr("dvrk_cmaes.segment.classic.segment_classic", lambda *_, **__: Segmentation(guess, 0.6))
     found = segment(image, model="sam2", weights=write_export(tmp_path, "osam"), threads=1)
     assert_alike(found, guess | (bar & near((182, 240), bar.shape)))  # the middle of the guess
     assert found.confidence == 0.6
@@ -108,7 +109,7 @@ def test_classic_segmentation_gives_default_box_and_point(tmp_path: Path, monkey
 
 def test_instrument_found_by_its_model_gives_default_prompts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     image, bar = picture()
-    by_model = Segmentation(bar & (np.arange(640) < 304), None, 0.7)
+    by_model = Segmentation(bar & (np.arange(640) < 304), 0.7)
     monkeypatch.setattr("dvrk_cmaes.segment.model_masks.segment_by_model", lambda *_: by_model)
     weights = write_export(tmp_path, "osam")
     found = segment(image, model="sam2", weights=weights, threads=1, instrument="lnd")

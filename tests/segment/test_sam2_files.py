@@ -13,6 +13,7 @@ from helpers.sam2_graphs import FAMILIES, write_export
 
 from dvrk_cmaes import DvrkCmaesError, InputError
 from dvrk_cmaes.segment.sam2 import Sam2, open_export
+from dvrk_cmaes.segment.segmentation import Hints
 
 EXPECTED = "expected one encoder and one decoder exported by samexporter, onnxruntime, onnx-community or osam"
 IMAGE = np.zeros((48, 64, 3), np.uint8)
@@ -81,7 +82,7 @@ def test_models_with_damaged_bytes_are_refused_in_one_line_or_run(
         whole = file.read_bytes()
         file.write_bytes(damaged_bytes(whole, chance))
         try:
-            Sam2(tmp_path, threads=1).segment(IMAGE, box=(0, 0, 63, 47))
+            Sam2(tmp_path, threads=1).segment(IMAGE, Hints(box=(0, 0, 63, 47)))
         except DvrkCmaesError as error:
             messages.append(str(error))
         file.write_bytes(whole)
