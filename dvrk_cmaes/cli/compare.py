@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from dvrk_cmaes.cli.label_table import label_table
 from dvrk_cmaes.cli.options import OUTPUT, Flag, UrdfOptions
 from dvrk_cmaes.cli.terminal import Line, answer, table_lines
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
     from dvrk_cmaes.evaluate.comparison import Comparison
+    from dvrk_cmaes.evaluate.label_errors import LabelErrors, Labels
 
 _TABLE = "compare.csv"
 _MOST_NAMED = 10  # frames in a line
@@ -72,6 +72,7 @@ def compare(
     """
     from dvrk_cmaes.evaluate.compared_set import read_compared_set
     from dvrk_cmaes.evaluate.comparison import compare_sets
+    from dvrk_cmaes.evaluate.label_errors import label_errors, read_labels
     from dvrk_cmaes.io.atomic import write_text
     from dvrk_cmaes.io.csv_file import csv_text
     from dvrk_cmaes.io.output import LONG, check_files, output
@@ -90,11 +91,14 @@ def compare(
         raise InputError(f"RESULTS: expected at least {least}, got {len(results)}")
     loaded = instrument.load().instrument
     sets = [read_compared_set(path) for path in results]
-    of_labels = None if labels is None else label_table(sets, labels, points, loaded)
-    if len(sets) == 1 and of_labels is not None:
+    found_labels = None if labels is None else read_labels(labels, points)
+    errors = [] if found_labels is None else [label_errors(each, found_labels, loaded) for each in sets]
+    by_label = {} if found_labels is None else {"labels": found_labels.to_dict(errors)}
+    label_lines = [] if found_labels is None else list(_label_lines(found_labels, errors))
+    if len(sets) == 1:
         if out is not None:
             raise InputError("--out: expected at least two sets of poses, got one")
-        answer({"labels": of_labels.to_dict()}, of_labels.lines(), json=json)
+        answer(by_label, label_lines, json=json)
         return 0
     found = compare_sets(sets, loaded)
     written = []
@@ -103,16 +107,26 @@ def compare(
             table = found.frames_table(found.frames)
             write_text(out / _TABLE, csv_text(table.head, table.rows))
             written += [out / _TABLE, write_compare_page(out, found)]
-    more = {} if of_labels is None else {"labels": of_labels.to_dict()}
-    tables = [
-        [] if of_labels is None else of_labels.lines(),
-        table_lines(found.sets_table()),
-        _sums(found),
-        _frames(found, frames),
-    ]
+    tables = label_lines, table_lines(found.sets_table()), _sums(found), _frames(found, frames)
     lines = chain(*tables, (Line(f"written: {path}") for path in written))
-    answer({**found.to_dict(), **more}, lines, json=json)
+    answer({**found.to_dict(), **by_label}, lines, json=json)
     return 0
+
+
+def _label_lines(labels: Labels, errors: Sequence[LabelErrors]) -> Iterator[Line]:
+    """Yield how far from the labels each set puts them: all together, and each by itself."""
+    yield Line(f"labels: {labels.path}, their points by {labels.table_path}")
+    yield Line(f"  used: {', '.join(labels.used)}")
+    if labels.left_out:
+        yield Line(f"  left out, for the table has no point of them: {', '.join(labels.left_out)}", "yellow")
+    if labels.table_path.name == "surgpose.json":
+        yield Line(
+            "  it is not verified which points SurgPose's labels mean; --points FILE replaces the table", "yellow"
+        )
+    for of_set in errors:
+        yield from table_lines(of_set.table())
+        if of_set.without:
+            yield Line(f"  labels in frames without a pose: {len(of_set.without)} frames", "yellow")
 
 
 def _sums(comparison: Comparison) -> Iterator[Line]:

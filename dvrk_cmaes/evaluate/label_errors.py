@@ -7,7 +7,7 @@ Labels are a session's markers.csv, and a table states where on the instrument e
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -24,7 +24,8 @@ from dvrk_cmaes.geometry import Float64, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.io.rounding import rounded_values
-from dvrk_cmaes.io.short_text import listed
+from dvrk_cmaes.io.short_text import listed, natural
+from dvrk_cmaes.io.table import Table
 
 _LABELS: Final = "markers.csv"
 _TABLES: Final = ("lnd.json", "surgpose.json")
@@ -44,6 +45,23 @@ class Labels:
     table: Mapping[str, Marker]
     table_path: Path
     left_out: tuple[str, ...] = ()
+
+    @property
+    def used(self) -> list[str]:
+        """The labels whose points the table has, numbers in their order."""
+        return sorted({name for own in self.pixels.values() for name in own}, key=natural)
+
+    def to_dict(self, errors: Sequence[LabelErrors]) -> dict[str, Any]:
+        """Return plain values, for JSON, with the errors of some sets.
+
+        Parameters
+        ----------
+        errors
+            The errors of each set.
+        """
+        paths = {"path": str(self.path), "points": str(self.table_path)}
+        names = {"used": self.used, "left_out": list(self.left_out)}
+        return {**paths, **names, "sets": [of_set.to_dict() for of_set in errors]}
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +85,18 @@ class LabelErrors:
         """The distances (N,) of each label, px, in the order of the labels' first frames."""
         names = dict.fromkeys(name for own in self.by_frame.values() for name in own)
         return {name: np.array([own[name] for own in self.by_frame.values() if name in own]) for name in names}
+
+    def table(self) -> Table:
+        """Tabulate the errors of all labels, and of each by itself."""
+        named = sorted(self.by_label.items(), key=lambda item: natural(item[0]))
+        errors = {"all": self.all, **{f"label {name}": own for name, own in named}}
+        rows = [
+            (f"  {name}", str(len(own)), *(f"{value:.2f}" for value in summary_px(own).values()))
+            for name, own in errors.items()
+            if own.size
+        ]
+        head = f"{self.path}, {len(self.by_frame)} frames", "points", "mean", "median", "95 %", "largest, px"
+        return Table(head, rows or [("  no frame has a pose", *[""] * 5)])
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
