@@ -202,9 +202,9 @@ def check(
     frames = [files for files in arm.session.frames if files.name in kept]
     results = tracked(_estimated(frames, arm, config), "Estimating", len(frames))
     not_checked = [files.name for files in arm.session.frames if files.name not in kept]
-    compared = Compared.of(results, kept, arm.body.instrument, most, modulo_twin=tolerance.modulo_twin)
-    compared.answer({"not_checked": not_checked}, json=json)
-    return 0 if compared.right else FAILED
+    more, as_twin = {"not_checked": not_checked}, tolerance.modulo_twin
+    right = answer_checks(results, kept, arm.body.instrument, most, more, modulo_twin=as_twin, json=json)
+    return 0 if right else FAILED
 
 
 def _check_names(path: Path, golden: Iterable[str], session: Session) -> None:
@@ -229,63 +229,53 @@ def _estimated(frames: Iterable[FrameFiles], arm: ArmInSession, config: Estimate
     return (estimated(setup, arm.body, files).result for files in frames)
 
 
-@dataclass(frozen=True, eq=False)
-class Compared:
-    """The results of frames, each with its comparison with a golden pose, and the tolerances."""
+def answer_checks(
+    results: Iterable[Result],
+    golden: Mapping[str, FrameTruth],
+    instrument: Instrument,
+    tolerance: Tolerance,
+    more: Mapping[str, Any],
+    *,
+    modulo_twin: bool = False,
+    json: bool,
+) -> bool:
+    """Compare results with golden poses by frame, as `check_pose` does; returns whether all are within tolerance.
 
-    checks: Sequence[tuple[Result, PoseCheck]]
-    tolerance: Tolerance
+    The comparisons are printed as JSON with ``more`` fields, or as a table of errors with all values of large ones.
+    """
+    from dvrk_cmaes.evaluate.pose_check import check_pose
 
-    @classmethod
-    def of(
-        cls,
-        results: Iterable[Result],
-        golden: Mapping[str, FrameTruth],
-        instrument: Instrument,
-        tolerance: Tolerance,
-        *,
-        modulo_twin: bool = False,
-    ) -> Compared:
-        """Compare results with golden poses by frame, as `check_pose` does."""
-        from dvrk_cmaes.evaluate.pose_check import check_pose
+    compare = partial(check_pose, instrument=instrument, tolerance=tolerance, modulo_twin=modulo_twin)
+    checks = [(result, compare(result, golden[result.frame])) for result in results]
+    right, frames = all(check.right for _, check in checks), [_document(*frame) for frame in checks]
+    answer(
+        {"right": right, "tolerance": asdict(tolerance), "frames": frames, **more}, _lines(checks, tolerance), json=json
+    )
+    return right
 
-        compare = partial(check_pose, instrument=instrument, tolerance=tolerance, modulo_twin=modulo_twin)
-        return cls([(result, compare(result, golden[result.frame])) for result in results], tolerance)
 
-    @property
-    def right(self) -> bool:
-        """Whether all frames are within tolerance."""
-        return all(check.right for _, check in self.checks)
+def _lines(checks: Sequence[tuple[Result, PoseCheck]], tolerance: Tolerance) -> Iterator[Line]:
+    """Yield a table of errors, with all values of the frames that are not right."""
+    from dvrk_cmaes.evaluate.pose_check import table
+    from dvrk_cmaes.io.table import Table, fixed
 
-    def answer(self, more: Mapping[str, Any], *, json: bool) -> None:
-        """Print the comparisons as JSON with ``more`` fields, or as a table of errors with all values of large ones."""
-        frames = [_document(*frame) for frame in self.checks]
-        document = {"right": self.right, "tolerance": asdict(self.tolerance), "frames": frames, **more}
-        answer(document, self._lines(), json=json)
-
-    def _lines(self) -> Iterator[Line]:
-        from dvrk_cmaes.evaluate.pose_check import table
-        from dvrk_cmaes.io.table import Table, fixed
-
-        quantities = list(dict.fromkeys(row.measured.quantity for _, check in self.checks for row in check.rows))
-        rows = []
-        for result, check in self.checks:
-            cells = {row.measured.quantity: row.measured for row in check.rows}
-            shown = [f"{e.error:.2f}{'!' * e.exceeds}" if (e := cells.get(name)) else "-" for name in quantities]
-            stated = None if result.expected_error is None else result.expected_error.of_tips_mm
-            rows.append((result.frame, result.status, fixed(stated, 2), *shown))
-        yield Line(
-            "Errors against the golden poses (root and tip in mm, all else in deg; ! is off); stated: std of tip"
-        )
-        yield from table_lines(Table(("frame", "status", "stated", *quantities), rows))
-        for result, check in self.checks:
-            if not check.right:
-                yield Line(f"{result.frame}: not as the golden pose", STATUS_STYLES["failed"])
-                yield from (Line(f"  {text}") for text in table(check))
-        right = sum(check.right for _, check in self.checks)
-        most = asdict(self.tolerance).items()
-        limits = ", ".join(f"{name.rsplit('_', 1)[0].replace('_', '/')} {value:g}" for name, value in most)
-        yield Line(f"{right} of {len(self.checks)} frames within tolerance (at most: {limits})")
+    quantities = list(dict.fromkeys(row.measured.quantity for _, check in checks for row in check.rows))
+    rows = []
+    for result, check in checks:
+        cells = {row.measured.quantity: row.measured for row in check.rows}
+        shown = [f"{e.error:.2f}{'!' * e.exceeds}" if (e := cells.get(name)) else "-" for name in quantities]
+        stated = None if result.expected_error is None else result.expected_error.of_tips_mm
+        rows.append((result.frame, result.status, fixed(stated, 2), *shown))
+    yield Line("Errors against the golden poses (root and tip in mm, all else in deg; ! is off); stated: std of tip")
+    yield from table_lines(Table(("frame", "status", "stated", *quantities), rows))
+    for result, check in checks:
+        if not check.right:
+            yield Line(f"{result.frame}: not as the golden pose", STATUS_STYLES["failed"])
+            yield from (Line(f"  {text}") for text in table(check))
+    right = sum(check.right for _, check in checks)
+    most = asdict(tolerance).items()
+    limits = ", ".join(f"{name.rsplit('_', 1)[0].replace('_', '/')} {value:g}" for name, value in most)
+    yield Line(f"{right} of {len(checks)} frames within tolerance (at most: {limits})")
 
 
 def _document(result: Result, check: PoseCheck) -> dict[str, Any]:
