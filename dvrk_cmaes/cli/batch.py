@@ -26,10 +26,10 @@ from dvrk_cmaes.cli.options import (
     check_range,
     parse_pixel,
 )
+from dvrk_cmaes.cli.session_tools import answer_by_arm, doubt_exchanged, output_folder, read_arms, reason_lines
 from dvrk_cmaes.cli.terminal import (
     DOUBTFUL,
     INTERRUPTED,
-    STATUS_STYLES,
     Line,
     exit_code,
     frames_text,
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from dvrk_cmaes.runs.agreement import ArmInSession
     from dvrk_cmaes.runs.batch import BatchSummary
 
-_MOST_LISTED = 10
 _LONGEST_FRAME = 1e6  # s, of --time-limit
 
 
@@ -212,8 +211,6 @@ def batch(
     json
         Print only summary.json, on stdout.
     """
-    from dvrk_cmaes.cli.session_tools import doubt_exchanged, output_folder, read_arms
-
     wanted.check()
     settings, by = MethodOptions(config=config).resolve(), {"count": wanted.workers, "time_limit": wanted.time_limit}
     with output_folder(wanted.out, session, "results", "batch") as results:
@@ -250,7 +247,6 @@ def batch(
 
 def _report_all(finished: Mapping[str, BatchSummary], json: bool) -> None:
     """Print the summaries of all arms."""
-    from dvrk_cmaes.cli.session_tools import answer_by_arm
     from dvrk_cmaes.joints.commanded import describe_commanded
 
     documents = {name: done.document for name, done in finished.items()}
@@ -267,13 +263,7 @@ def _report_all(finished: Mapping[str, BatchSummary], json: bool) -> None:
 def _lines(document: dict[str, Any], folder: Path) -> Iterator[Line]:
     """Yield the lines of a summary: doubtful and failed frames, counts, medians, rate, and the files written."""
     counts, medians, timing = document["counts"], document["medians"], document["timing"]
-    for status in ("failed", "doubtful"):
-        listed = [(name, frame["reasons"]) for name, frame in document["frames"].items() if frame["status"] == status]
-        for name, reasons in listed[:_MOST_LISTED]:
-            more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
-            yield Line(f"{name}: {status}: {reasons[0]}{more}", STATUS_STYLES[status].removeprefix("bold "))
-        if len(listed) > _MOST_LISTED:
-            yield Line(f"... and {len(listed) - _MOST_LISTED} more that are {status}")
+    yield from reason_lines({name: frame["reasons"] for name, frame in document["frames"].items()})
     words = [
         f"{counts[name]} {name}" for name in ("ok", "doubtful", "failed", "missing") if counts[name] or name == "ok"
     ]

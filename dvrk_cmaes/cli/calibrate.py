@@ -27,6 +27,14 @@ from dvrk_cmaes.cli.options import (
     ReadingOptions,
     check_range,
 )
+from dvrk_cmaes.cli.session_tools import (
+    answer_by_arm,
+    doubt_exchanged,
+    output_folder,
+    read_arms,
+    reason_lines,
+    write_bases,
+)
 from dvrk_cmaes.cli.terminal import DOUBTFUL, INTERRUPTED, STATUS_STYLES, Line, note, table_lines, warn
 from dvrk_cmaes.errors import InputError
 
@@ -162,7 +170,6 @@ def calibrate(
     """
     from dvrk_cmaes.calibration.calibrate import check_outer_joints
     from dvrk_cmaes.calibration.together import Begun, solved_together
-    from dvrk_cmaes.cli.session_tools import doubt_exchanged, output_folder, read_arms, write_bases
     from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
     from dvrk_cmaes.io.output import output
     from dvrk_cmaes.results.folder import ALONE
@@ -202,8 +209,6 @@ def calibrate(
 
 def _report(solved: Mapping[str, SolvedSession], target: Path, *, json: bool) -> None:
     """Print what was found of each arm."""
-    from dvrk_cmaes.cli.session_tools import answer_by_arm
-
     for name, solution in solved.items():
         for text in solution.calibration.remarks if not json else solution.calibration.warnings:
             warn(text, name)
@@ -289,9 +294,8 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
     for table in calibration_tables(calibration):
         yield from table_lines(table, _MOST_LISTED)
     yield from map(Line, calibration_lines(calibration))
+    yield from reason_lines({name: result.reasons for name, result in solved.results.items()})
     doubtful = [result for result in solved.results.values() if result.status == "doubtful"]
-    for result in doubtful[:_MOST_LISTED]:
-        yield Line(f"doubtful: {result.frame}: {'; '.join(result.reasons)}", "yellow")
     if doubtful:
         yield Line(f"{len(doubtful)} of {len(solved.results)} frames are doubtful", STATUS_STYLES["doubtful"])
     yield Line(f"written: {out / 'session.json'}   frames: {out / 'frames'}   page: {out / 'report.html'}")

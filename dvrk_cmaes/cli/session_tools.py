@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from dvrk_cmaes.cli.options import TWIN, ReadingOptions, joint_files, load_tool
-from dvrk_cmaes.cli.terminal import Line, answer, note, show, warn
+from dvrk_cmaes.cli.terminal import Line, answer, frames_text, note, show, warn
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.short_text import no_folder
+from dvrk_cmaes.io.short_text import listed, no_folder
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
@@ -104,6 +104,9 @@ def _read_arm(
     return ArmInSession(session, body, instrument.arm or tool.kinematics or "classic", tool.arm)
 
 
+_MOST_REASONS = 8
+
+
 @contextmanager
 def output_folder(out: Path | None, inside: Path, name: str, command: str, *, wait: float = 0.0) -> Iterator[Path]:
     """Yield the folder to write to, which is opened: OUT, or a folder of a name inside another one by default.
@@ -123,6 +126,33 @@ def answer_by_arm(documents: Mapping[str, Any], lines: Mapping[str, Iterable[Lin
     """Print the documents of all arms as JSON, or else their lines, those of each of several below its name."""
     titled = ([*([Line(name, "bold")] if name else []), *own] for name, own in lines.items())
     answer(documents.get("", documents), (line for own in titled for line in own), json=json)
+
+
+def reason_lines(reasons: Mapping[str, Sequence[str]]) -> Iterator[Line]:
+    """Yield a line for each kind of reason why frames are not ok, most frequent first, with these frames.
+
+    The reason of a single frame is there in full.
+    """
+    from dvrk_cmaes.report.template import frames_by_reason, reason_kind
+
+    names, kinds = list(reasons), frames_by_reason(reasons.values())
+    for kind, places in kinds[:_MOST_REASONS]:
+        of_first = reasons[names[places[0]]]
+        text = kind if len(places) > 1 else next(text for text in of_first if reason_kind(text) == kind)
+        yield Line(f"  {text}: {frames_text(len(places))} ({listed(_stretches(names, places))})", "yellow")
+    if len(kinds) > _MOST_REASONS:
+        yield Line(f"  ... and {len(kinds) - _MOST_REASONS} more, in the results")
+    if kinds:
+        yield Line("  what to do about reasons: dvrk-cmaes help problems")
+
+
+def _stretches(names: Sequence[str], places: Sequence[int]) -> Iterator[str]:
+    """Yield the frames at increasing places, those that follow each other as ``FIRST to LAST``."""
+    first = places[0]
+    for place, following in zip(places, (*places[1:], None), strict=True):
+        if following != place + 1:
+            yield names[first] if first == place else f"{names[first]} to {names[place]}"
+            first = following or 0
 
 
 def doubt_exchanged(results: Mapping[str, Mapping[str, Result]]) -> bool:

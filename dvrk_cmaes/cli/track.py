@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -27,7 +27,7 @@ from dvrk_cmaes.cli.options import (
     PromptOptions,
     check_range,
 )
-from dvrk_cmaes.cli.session_tools import answer_by_arm, output_folder, read_arms, write_bases
+from dvrk_cmaes.cli.session_tools import answer_by_arm, output_folder, read_arms, reason_lines, write_bases
 from dvrk_cmaes.cli.terminal import (
     DOUBTFUL,
     INTERRUPTED,
@@ -50,7 +50,6 @@ if TYPE_CHECKING:
     from dvrk_cmaes.runs.agreement import ArmInSession
     from dvrk_cmaes.runs.track import TrackedArm
 
-_MOST_REASONS = 8
 _TOLERANCE = 0.05  # s, as of import
 
 
@@ -342,7 +341,7 @@ def _lines(arm: TrackedArm) -> Iterator[Line]:
 
     counts = ", ".join(f"{arm.counts[name]} {name}" for name in ("ok", "doubtful", "lost") if arm.counts.get(name))
     yield Line(f"{frames_text(len(arm.rows))}: {counts}", "bold")
-    yield from reason_lines(arm.rows)
+    yield from reason_lines({row["frame"]: row["reasons"] for row in arm.rows})
     if arm.calibration is not None:
         lag = arm.calibration.lag
         yield Line("lag: not determined" if lag is None else f"lag: {lag.describe()}")
@@ -357,26 +356,3 @@ def _lines(arm: TrackedArm) -> Iterator[Line]:
             yield Line(f"page: {arm.out / 'report.html'}")
         if arm.settings.rerun is not None:
             yield Line(f"for the Rerun viewer: {arm.settings.rerun}")
-
-
-def reason_lines(rows: Sequence[Mapping[str, Any]]) -> Iterator[Line]:
-    """Yield a line for each kind of reason why frames are not ok, most frequent first, with these frames."""
-    from dvrk_cmaes.report.template import frames_by_reason
-
-    names = [row["frame"] for row in rows]
-    kinds = frames_by_reason([row["reasons"] for row in rows])
-    for kind, places in kinds[:_MOST_REASONS]:
-        yield Line(f"  {kind}: {frames_text(len(places))} ({listed(_stretches(names, places))})")
-    if len(kinds) > _MOST_REASONS:
-        yield Line(f"  ... and {len(kinds) - _MOST_REASONS} more, in tracks.jsonl")
-    if kinds:
-        yield Line("  what to do about reasons: dvrk-cmaes help problems")
-
-
-def _stretches(names: Sequence[str], places: Sequence[int]) -> Iterator[str]:
-    """Yield the frames at increasing places, those that follow each other as ``FIRST to LAST``."""
-    first = places[0]
-    for place, following in zip(places, (*places[1:], None), strict=True):
-        if following != place + 1:
-            yield names[first] if first == place else f"{names[first]} to {names[place]}"
-            first = following or 0

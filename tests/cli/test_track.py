@@ -12,7 +12,7 @@ from helpers.followed_folder import track_folder
 from helpers.moving_worlds import SMALL
 
 from dvrk_cmaes import EstimateConfig, prepare, read_session
-from dvrk_cmaes.cli.track import reason_lines
+from dvrk_cmaes.cli.session_tools import reason_lines
 from dvrk_cmaes.results.track_files import read_tracks
 from dvrk_cmaes.runs.track import TrackSettings
 from dvrk_cmaes.synth.levels import LEVELS
@@ -46,10 +46,10 @@ def without_seconds(path: Path) -> list[dict[str, object]]:
 def test_reasons_are_counted_with_their_frames() -> None:
     seen = {"reasons": []}
     rows = [seen, *[{"reasons": ["lost: no mask", "no mask"]}] * 2, seen, {"reasons": ["lost: 3 px"]}, seen]
-    lines = [line.text for line in reason_lines([{"frame": f"{k:04d}", **row} for k, row in enumerate(rows)])]
+    lines = [line.text for line in reason_lines({f"{k:04d}": row["reasons"] for k, row in enumerate(rows)})]
     assert lines[:2] == ["  lost: 3 frames (0001 to 0002, 0004)", "  no mask: 2 frames (0001 to 0002)"]
     assert lines[2:] == ["  what to do about reasons: dvrk-cmaes help problems"]
-    assert list(reason_lines([{"frame": "0000", **seen}])) == []
+    assert list(reason_lines({"0000": []})) == []
 
 
 def test_video_and_page_can_be_left_out(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
