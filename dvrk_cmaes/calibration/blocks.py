@@ -73,6 +73,10 @@ class Block:
 class PredictedBlock(Block, ABC):
     """A block that changes what is predicted of the frames."""
 
+    def change(self, value: Any) -> Float64 | None:
+        """Return the changes (N, 6 + J) of the predictions by a value; None where the model knows them."""
+        return None
+
     @abstractmethod
     def derivative(self, model: SessionModel, calibration: Calibration) -> Float64:
         """Return the changes (N, 6 + J, n) of the predictions by a step, in the roots' axes, m and rad."""

@@ -13,7 +13,7 @@ As such unknowns, those of a chosen model find the same base, and predict frames
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -318,8 +318,7 @@ class SessionCables(Document):
     session is with them. reference : readings at which coupling adds nothing.
     coupling, play, narrow, width, wander, seconds, noise : as in `joints.cables.CableModel`; those of parts that are
     not used are zero. coupling_std, play_std, narrow_std : their standard deviations.
-    alone : for frames without an order. corrections : of each frame by all others, beyond the offsets, rad.
-    times : of the frames' readings, s.
+    alone : for frames without an order.
     """
 
     parts: Texts
@@ -337,23 +336,15 @@ class SessionCables(Document):
     seconds: Row
     noise: Row
     alone: CablesAlone
-    corrections: dict[str, Row] = field(default_factory=dict)
-    times: dict[str, Number] = field(default_factory=dict)
 
     @classmethod
-    def of(
-        cls, fits: tuple[CableFit, CableFit] | None, frames: tuple[str, ...], times: Float64 | None
-    ) -> SessionCables | None:
-        """Return what was estimated from some frames; None if offsets explain them as well.
+    def of(cls, fits: tuple[CableFit, CableFit] | None) -> SessionCables | None:
+        """Return what was estimated; None if offsets explain the frames as well.
 
         Parameters
         ----------
         fits
             The fit that is used, and that of what the reading of a frame alone tells; None if there is none.
-        frames
-            Names of the N frames.
-        times
-            Times (N,) of their images, s, if they are known.
         """
         if fits is None or not fits[0].parts:
             return None
@@ -382,8 +373,6 @@ class SessionCables(Document):
                 _table(alone.std[:, :count]),
                 _row(alone.noise),
             ),
-            corrections={name: _row(row) for name, row in zip(frames, fit.correction.values, strict=True)},
-            times={} if times is None else dict(zip(frames, rounded_array(times), strict=True)),
         )
 
     def check(self, where: str, joints: Sequence[str]) -> None:

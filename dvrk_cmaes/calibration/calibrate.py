@@ -14,11 +14,10 @@ from typing import Any, Literal, NamedTuple, TypeVar
 import numpy as np
 
 from dvrk_cmaes.calibration.cables import SessionCables
-from dvrk_cmaes.calibration.document import SessionCalibration, describe_solution
+from dvrk_cmaes.calibration.document import Agreement, SessionCalibration, describe_solution
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.frame_task import (
     NOT_READ,
-    Agreement,
     FrameReport,
     LeaveOneOutPrediction,
     ReportTask,
@@ -194,20 +193,18 @@ def _stated(
     endoscope = _endoscope(arm, check)
     described = describe_solution(arm.model, arm.solution, check.covariance, settings)
     described["undetermined"] += _undetermined(arm, endoscope, commanded)
-    left_out_predictions = {name: one for name, one in predicted.items() if name in frames}
     return SessionCalibration(
         instrument=instrument.name,
         arm=arm.setup.arm,
         roll_offset=instrument.roll_offset,
         frames=frames,
         left_out=dict(sorted(left_out.items())),
-        leave_one_out={name: Agreement(one.iou, one.contour_px) for name, one in left_out_predictions.items()},
-        leave_one_out_of_views=_of_views(left_out_predictions),
+        leave_one_out={name: Agreement(one.iou, one.contour_px) for name, one in predicted.items() if name in frames},
         iou=float(np.median([quality.iou for quality in qualities])) if qualities else 0.0,
         contour_px_95=float(np.median([quality.contour_px_95 for quality in qualities])) if qualities else 0.0,
         lag=lag.lag,
         lag_curve=lag.curve,
-        cables=SessionCables.of(arm.cables, names, lag.seconds()),
+        cables=SessionCables.of(arm.cables),
         camera=check.camera,
         camera_errors=camera_errors,
         endoscope=endoscope,
@@ -242,14 +239,6 @@ def _remarks(arm: ArmSession, used: Sequence[Result], commanded: Sequence[str]) 
         *_exchanged_readings(used, arm.setup.instrument),
         *arm.remarks,
     )
-
-
-def _of_views(predicted: Mapping[str, LeaveOneOutPrediction]) -> dict[str, dict[str, Agreement]]:
-    """Return the predictions of frames in each view of a rig, by view and frame; empty of one view."""
-    views = dict.fromkeys(view for one in predicted.values() for view in one.views)
-    if len(views) < 2:
-        return {}
-    return {view: {name: one.views[view] for name, one in predicted.items() if view in one.views} for view in views}
 
 
 def _endoscope(arm: ArmSession, check: CameraCheck) -> SessionEndoscope | None:

@@ -13,7 +13,6 @@ import numpy as np
 from dvrk_cmaes.calibration.blocks import BASE_AXES, OBSERVABLE, OUTER_OFFSETS, Calibration, FoundBlock
 from dvrk_cmaes.calibration.cables import SessionCables
 from dvrk_cmaes.calibration.endoscope import InFrames
-from dvrk_cmaes.calibration.frame_task import Agreement
 from dvrk_cmaes.calibration.lag import LagCurve
 from dvrk_cmaes.calibration.model import (
     Correction,
@@ -64,6 +63,14 @@ _UNDETERMINED_POSITION = 5e-3  # of the base, m
 _ELSEWHERE = np.deg2rad(30.0)  # from the only reading of a joint, where its offset says nothing any more
 
 
+@dataclass(frozen=True)
+class Agreement:
+    """Intersection over union of a mask and a predicted silhouette, and median distance of their contours, px."""
+
+    iou: Number
+    contour_px: Number
+
+
 @dataclass(frozen=True, eq=False)
 class SessionCalibration:
     """Base pose and joint offsets estimated from all frames of a session.
@@ -77,7 +84,6 @@ class SessionCalibration:
     spreads : standard deviations from frame to frame, by joint and of the pose's ``slack``, rad and m.
     frames : names of the frames used. left_out : reasons for leaving out the others, by frame.
     leave_one_out : by frame, how its mask agrees with the silhouette at the pose that the other frames predict.
-    leave_one_out_of_views : the same in each view of a rig by itself, by view and frame; empty of a single camera.
     iou, contour_px_95 : medians over the frames used, of the silhouettes at the poses of the joint solution.
     lag : lag of the images behind the readings; None if the session does not determine it.
     lag_curve : disagreement of the frames as a function of the lag; None if no lag was searched.
@@ -108,7 +114,6 @@ class SessionCalibration:
     frames: Texts = ()
     left_out: dict[str, str] = field(default_factory=dict)
     leave_one_out: dict[str, Agreement] = field(default_factory=dict)
-    leave_one_out_of_views: dict[str, dict[str, Agreement]] = field(default_factory=dict)
     iou: Number = 0.0
     contour_px_95: Number = 0.0
     lag: Lag | None = None

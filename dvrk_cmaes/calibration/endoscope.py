@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,14 +111,21 @@ class EndoscopeValues:
         return replace(self, poses=turned, numbers=self.numbers + step[count:])
 
 
+@dataclass(frozen=True, eq=False)
 class Endoscope(ABC):
-    """Where the endoscope is in each of N frames, as a function of the values of M unknowns."""
+    """Where the endoscope is in each of N frames, as a function of the values of M unknowns.
+
+    ``start`` are the values from which an estimation starts, ``loose`` (M,) their standard deviations. ``shared`` is
+    whether the arms of a session have it in common.
+    """
 
     start: EndoscopeValues
     loose: Float64
-    """Standard deviations (M,) of the values from which an estimation starts."""
-    shared: bool
-    """Whether the arms of a session have it in common."""
+    shared: bool = field(default=False, kw_only=True)
+
+    def with_start(self, start: EndoscopeValues, loose: Float64, *, shared: bool = False) -> Self:
+        """Return the endoscope with other values from which estimations start."""
+        return replace(self, start=start, loose=loose, shared=shared)
 
     @property
     def block(self) -> EndoscopeBlock:
@@ -129,10 +136,6 @@ class Endoscope(ABC):
     @abstractmethod
     def place(self) -> Indices:
         """Number (N,) of the place at which the endoscope stands in each frame; -1 while it is moved."""
-
-    @abstractmethod
-    def in_common(self, start: EndoscopeValues, loose: Float64) -> Endoscope:
-        """Return the endoscope that the arms of a session share, with some values from which estimations start."""
 
     @abstractmethod
     def relative(self, values: EndoscopeValues) -> Float64:
@@ -151,9 +154,9 @@ class Endoscope(ABC):
         """Return the endoscope in the frames at some indices."""
 
     @property
+    @abstractmethod
     def axes(self) -> tuple[str, ...]:
         """Names of the M unknowns."""
-        return tuple(f"endoscope_{number}" for number in range(len(self.start.std)))
 
 
 class EndoscopeBlock(PredictedBlock):
@@ -223,9 +226,6 @@ class Steered(Endoscope):
 
     read: Float64
     places: tuple[Place, ...]
-    start: EndoscopeValues
-    loose: Float64
-    shared: bool = False
     _known: _Tips | None = None
 
     @classmethod
@@ -245,7 +245,7 @@ class Steered(Endoscope):
             if np.convolve(away, np.ones(_STANDS), "valid").max(initial=0.0) != _STANDS:  # single ones are noise
                 return None
         start = EndoscopeValues.read(STRAIGHT, STRAIGHT, np.zeros(4), np.zeros((len(places) - 1, 4)))
-        return cls(read, places, start, start.std)
+        return cls(start, start.std, read, places)
 
     @cached_property
     def place(self) -> Indices:
@@ -277,7 +277,7 @@ class Steered(Endoscope):
 
     def at(self, read: Float64) -> Steered:
         """Return the endoscope with other readings (N, 4) of the frames; a frame without has those of its neighbour."""
-        return Steered(filled(read), self.places, self.start, self.loose, self.shared)
+        return Steered(self.start, self.loose, filled(read), self.places, shared=self.shared)
 
     def _joints(self, values: EndoscopeValues) -> Float64:
         """Return the joints (N, 4) of the ECM in each frame."""
@@ -347,14 +347,6 @@ class Steered(Endoscope):
         other.__dict__.update(place=self.place[index], shares=self.shares[index])
         return other
 
-    def in_common(self, start: EndoscopeValues, loose: Float64) -> Steered:
-        """Return the endoscope that the arms of a session share."""
-        return replace(self, start=start, loose=loose, shared=True)
-
-    def with_start(self, values: EndoscopeValues, loose: Float64) -> Steered:
-        """Return the endoscope with other values from which estimations start."""
-        return replace(self, start=values, loose=loose)
-
     def hand_eyes(self) -> list[Steered]:
         """Return the endoscope with cameras in its tip that may be, at any turn about its axis.
 
@@ -384,24 +376,17 @@ class Pieces(Endoscope):
     """An endoscope that is not read, in N frames, each in a ``piece`` (N,) of the session; piece 0 is the reference."""
 
     piece: Indices
-    start: EndoscopeValues
-    loose: Float64
-    shared: bool = False
 
     @classmethod
     def of(cls, piece: Indices, cameras: Float64) -> Pieces:
         """Return the endoscope of frames in pieces, with the reference camera in those of the others (P, 4, 4), m."""
         start = EndoscopeValues.of_pieces(cameras)
-        return cls(piece, start, 0.1 * start.std)
+        return cls(start, 0.1 * start.std, piece)
 
     @property
     def place(self) -> Indices:
         """Number (N,) of the place at which the endoscope stands in each frame; -1 while it is moved."""
         return self.piece
-
-    def in_common(self, start: EndoscopeValues, loose: Float64) -> Pieces:
-        """Return the pieces that the arms of a session share."""
-        return replace(self, start=start, loose=loose, shared=True)
 
     def relative(self, values: EndoscopeValues) -> Float64:
         """Compute the reference camera's pose (N, 4, 4) in each frame's camera, m."""

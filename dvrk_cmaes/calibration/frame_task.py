@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final, Self, TypeVar
 
@@ -17,7 +17,6 @@ from dvrk_cmaes.camera.rig import turned_views
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import Float64, Posed, change_between
-from dvrk_cmaes.io.typed_document import Number
 from dvrk_cmaes.joints.prior import Readings, reading_distance, split_readings
 from dvrk_cmaes.pose.camera_errors import covariance_by_camera
 from dvrk_cmaes.pose.covariance import rough_covariance
@@ -121,21 +120,13 @@ class ReportTask:
     brief: bool = False
 
 
-@dataclass(frozen=True)
-class Agreement:
-    """Intersection over union of a mask and a predicted silhouette, and median distance of their contours, px."""
-
-    iou: Number
-    contour_px: Number
-
-
 @dataclass(frozen=True, eq=False)
 class LeaveOneOutPrediction:
     """Prediction of a frame by the session's other frames: camera_from_root (4, 4) and joints (J,), rad.
 
     ``joint_std`` (J,), rad, are the standard deviations of the joints.
     ``iou`` is the intersection over union of the predicted silhouette and the mask, ``contour_px`` the median distance
-    of their contours, px. ``views`` has both in each view by itself, by name.
+    of their contours, px.
     """
 
     camera_from_root: Float64
@@ -143,7 +134,6 @@ class LeaveOneOutPrediction:
     joint_std: Float64
     iou: float
     contour_px: float
-    views: Mapping[str, Agreement] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +222,6 @@ def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameRe
         task.predicted_std,
         predicted.iou,
         predicted.contour_px_median,
-        {view.name: Agreement(own[0].iou, own[0].contour_px_median) for view, own in zip(views, of_views, strict=True)},
     )
     return FrameReport(result, leave_one_out, jaw_end_missing(views[0], task.fit.at))
 

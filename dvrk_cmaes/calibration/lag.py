@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
 from dvrk_cmaes.calibration.blocks import Calibration, PredictedBlock
 from dvrk_cmaes.calibration.consensus import IMPROVEMENT, Consensus, Mode, choose_modes, find_consensus
 from dvrk_cmaes.calibration.endoscope import Steered
-from dvrk_cmaes.calibration.model import Deviations, Late, SessionModel
+from dvrk_cmaes.calibration.model import Deviations, SessionModel
 from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, solve_arms
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Bool, Float64, Indices
@@ -76,17 +76,21 @@ _AGREE = 3.0  # standard deviations of each lag, within which those of several a
 
 
 class LagBlock(PredictedBlock):
-    """A lag (1,), in the unit of the frames' times."""
+    """A lag (1,), in the unit of the frames' times, whose ``effect`` (N, 6 + J) is linearised ``at`` a value."""
 
     shared = True
 
-    def __init__(self, std: float) -> None:
+    def __init__(self, std: float, effect: Float64, at: float) -> None:
         super().__init__(LAG, np.array([std]), (LAG,))
+        self._effect, self._at = effect, at
+
+    def change(self, value: Any) -> Float64:
+        """Return the changes of the predictions by a lag."""
+        return np.asarray(self._effect * (value - self._at))
 
     def derivative(self, model: SessionModel, calibration: Calibration) -> Float64:
-        """Return the changes of the predictions by those of the readings (`SessionModel.late`)."""
-        assert model.late is not None
-        return model.late.effect
+        """Return the changes of the predictions by those of the readings."""
+        return self._effect[:, :, None]
 
 
 @dataclass(frozen=True)
@@ -511,9 +515,10 @@ class SessionLag:
         of_these, model, fits = self.subset(order), frames.model.subset(order), frames.fits.subset(order)
         alone, by = frames.calibration.without(LAG), _LEAST_STEP * reach
         later, earlier = (of_these.model_to_compare(model, value + step).predict(alone) for step in (by, -by))
-        late = Late(later.minus(earlier)[:, :, None] / (2 * by), np.array([value]))
-        model = replace(of_these.model_to_compare(model, value), late=late)
-        return ArmFrames(model, FrameFits(fits.at, fits.outlines), frames.calibration)
+        std = FARTHEST[self._known.unit] / _SHARED_ERRORS
+        block = LagBlock(std, later.minus(earlier) / (2 * by), value)
+        known = frames.calibration.with_blocks(block, **{LAG: np.array([value])})
+        return ArmFrames(of_these.model_to_compare(model, value), FrameFits(fits.at, fits.outlines), known)
 
 
 LateFrames = tuple[SessionLag, ArmFrames]
@@ -539,8 +544,7 @@ def refine_lag(arms: Sequence[LateFrames], start: float) -> Refined | None:
     if not clock.interpolable:
         return Refined(start, clock.step / np.sqrt(12))
     reach, value, left = clock.step, start, _LINEARISATIONS
-    block = LagBlock(FARTHEST[clock._known.unit] / _SHARED_ERRORS)
-    calibrations = [frames.calibration.with_blocks(block, lag=np.array([start])) for _, frames in arms]
+    calibrations = [frames.calibration for _, frames in arms]
     solutions, moved = None, 0.0
     for _ in range(_MOST_LINEARISATIONS):
         pairs = zip(arms, calibrations, strict=True)

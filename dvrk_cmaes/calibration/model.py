@@ -78,14 +78,6 @@ class Correction:
 
 
 @dataclass(frozen=True, eq=False)
-class Late:
-    """The ``effect`` (N, 6 + J, n) of n values of a lag on the predictions of N frames, linearised ``at`` some."""
-
-    effect: Float64
-    at: Float64
-
-
-@dataclass(frozen=True, eq=False)
 class SessionModel:
     """Model that predicts the poses and joints of N frames from their readings and a calibration.
 
@@ -107,8 +99,6 @@ class SessionModel:
         What the cables are known to add to the readings of roll and of the instrument's joints; by default nothing.
     endoscope
         Where an endoscope that moves is in each frame; None for one that stands still.
-    late
-        The effect of a lag on the predictions, where that is among the blocks.
     offset_std : (2 + J,)
         Standard deviations of the offsets about zero beforehand, m and rad; by default nothing is known of them.
     """
@@ -123,7 +113,6 @@ class SessionModel:
     correction: Correction = field(default_factory=lambda: Correction.none(0, 0))
     endoscope: Endoscope | None = None
     offset_std: Float64 = field(default_factory=lambda: np.zeros(0))
-    late: Late | None = None
     _last: dict[bytes, tuple[Float64, Float64]] = field(default_factory=dict, init=False)
 
     @classmethod
@@ -200,7 +189,10 @@ class SessionModel:
         read = np.where(self._has_reading, self.joints, 0.0)
         poses = self.camera_from_base(calibration) @ self.base_from_root(calibration.offsets)
         at = Posed(np.asarray(poses), read + calibration.offsets[2:] + self.correction.values[:, 1:])
-        return at if self.late is None else at.moved(self.late.effect @ (calibration.values["lag"] - self.late.at))
+        for block in calibration.predicted:
+            if (change := block.change(calibration.values[block.name])) is not None:
+                at = at.moved(change)
+        return at
 
     def jacobian(self, calibration: Calibration) -> Float64:
         """Compute the Jacobian (N, 6 + J + E, K) of the predictions by a step of the calibration.
@@ -261,7 +253,6 @@ class SessionModel:
             inflation=self.inflation[index],
             correction=self.correction.subset(index),
             endoscope=None if self.endoscope is None else self.endoscope.subset(index),
-            late=None if self.late is None else Late(self.late.effect[index], self.late.at),
         )
 
 

@@ -219,12 +219,12 @@ class SessionEndoscope:
             offsets = np.array([self.offsets[name] for name in ECM_JOINTS])
             steered = EndoscopeValues.read(self.tip_from_camera, self.expected, offsets, errors)
             places = tuple(Place(np.array(one.readings), np.array(one.within)) for one in self.places)
-            return Steered(filled(read), places, steered, steered.std), steered
+            return Steered(steered, steered.std, filled(read), places), steered
         of_place = {one.place: one.camera_from_base for one in self.bases}
         moves = [of_place[k] @ inverse(camera_from_base) for k in range(1, self.last_place + 1)]
         values = EndoscopeValues.of_pieces(np.array(moves).reshape(-1, 4, 4))
         piece = [self.place_at(time, name) for time, name in zip(times, names, strict=True)]
-        return Pieces(np.array(piece, np.intp), values, values.std), values
+        return Pieces(values, values.std, np.array(piece, np.intp)), values
 
     def place_at(self, time: float | None, name: str) -> int:
         """Return the place of the piece nearest to a time, s, or where no times are known, to a frame's name."""

@@ -58,7 +58,6 @@ from dvrk_cmaes.calibration.solve import (
     ArmFrames,
     FrameFits,
     Solved,
-    leave_one_out,
     solve_arms,
     solve_with_modes,
 )
@@ -281,10 +280,6 @@ class ArmSession:
                 f"session: expected at least {LEAST_FRAMES} frames that agree on where the arm's base is, got {agree} "
                 f"of {len(self.frames)} ({'; '.join(off[:_MOST_NAMED])}{more}): {_TO_TRY}"
             )
-
-    def left_out_predictions(self) -> list[Posed]:
-        """Return what all other frames predict of each frame."""
-        return [self.model.subset([i]).predict(leave_one_out(self.solution, i))[0] for i in range(len(self.frames))]
 
     def camera_refused(self, reason: str) -> InputError:
         """Return the refusal to find the camera of a session that does not determine it."""
@@ -509,14 +504,9 @@ def _with_refined_lags(arms: Arms, fits: Sequence[FrameFits]) -> Arms:
 
 def _by_camera(arms: Arms) -> list[list[int]]:
     """Return the numbers of the arms that are seen by one camera, for each camera."""
-    found: list[list[int]] = []
-    for k, arm in enumerate(arms):
-        same = [group for group in found if arms[group[0]].stored[0].camera == arm.stored[0].camera]
-        if same:
-            same[0].append(k)
-        else:
-            found.append([k])
-    return found
+    cameras = [arm.stored[0].camera for arm in arms]
+    first = [cameras.index(camera) for camera in cameras]
+    return [[k for k, own in enumerate(first) if own == one] for one in dict.fromkeys(first)]
 
 
 def _as_outlines(arm: ArmSession, outlines: SessionOutlines) -> ArmOutlines:
@@ -564,17 +554,12 @@ def _with_margin(arms: Arms) -> Arms:
 def _finished(arms: Arms) -> Arms:
     """Solve once more with all that was found from the fits of the last round."""
     near = []
-    for arm in _solved_from(arms):
-        pairs = zip(arm.fits, arm.model.priors(arm.solution.calibration), strict=True)
-        fits = tuple(fit.moved_to(own) if fit.step_to(own) < _NEAR else fit for fit, own in pairs)
-        near.append(replace(arm, fits=fits))
-    return near
-
-
-def _solved_from(arms: Arms) -> Arms:
-    """Solve from the current fits."""
     found = solve_arms([ArmFrames(arm.model, arm.outlines(), arm.solution.calibration) for arm in arms])
-    return [replace(arm, found=own) for arm, own in zip(arms, found, strict=True)]
+    for arm, own in zip(arms, found, strict=True):
+        pairs = zip(arm.fits, arm.model.priors(own.calibration), strict=True)
+        fits = tuple(fit.moved_to(prior) if fit.step_to(prior) < _NEAR else fit for fit, prior in pairs)
+        near.append(replace(arm, fits=fits, found=own))
+    return near
 
 
 def checked(arms: Arms) -> list[tuple[ArmSession, CameraCheck]]:

@@ -132,7 +132,7 @@ def _with_shared_endoscope(arm: ArmSession, first: ArmSession) -> ArmSession:
     endoscope, known = arm.model.endoscope, first.model.endoscope
     assert endoscope is not None
     assert known is not None
-    model = replace(arm.model, endoscope=endoscope.in_common(known.start, known.loose))
+    model = replace(arm.model, endoscope=endoscope.with_start(known.start, known.loose, shared=True))
     assert model.endoscope is not None
     values = first.solution.calibration.endoscope
     calibration = arm.solution.calibration.with_blocks(model.endoscope.block, endoscope=values)

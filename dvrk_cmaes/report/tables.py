@@ -66,17 +66,9 @@ def calibration_lines(found: SessionCalibration) -> Iterator[str]:
     if found.cables is not None:
         yield from found.cables.in_words()
     yield from (f"not determined by this session: {text}" for text in found.undetermined)
-    yield from _leave_one_out_lines(found)
-
-
-def _leave_one_out_lines(found: SessionCalibration) -> Iterator[str]:
-    """Yield how well each frame is predicted by the others: on average, and in each eye."""
-    for eye, frames in {"": found.leave_one_out, **found.leave_one_out_of_views}.items():
-        if frames:
-            iou, px = ([getattr(one, name) for one in frames.values()] for name in ("iou", "contour_px"))
-            of_all = f"{len(found.frames)} frames; each predicted by the others, without its image"
-            what = f"  {eye} eye" if eye else of_all
-            yield f"{what}: mean IoU {np.mean(iou):.3f}, contour {np.median(px):.1f} px median"
+    if found.leave_one_out:
+        own = f"mean IoU {found.predicted_iou:.3f}, contour {found.predicted_px:.1f} px median"
+        yield f"{len(found.frames)} frames; each predicted by the others, without its image: {own}"
 
 
 def calibration_tables(found: SessionCalibration) -> Iterator[Table]:

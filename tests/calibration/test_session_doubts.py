@@ -11,7 +11,7 @@ from helpers.page_calibrations import calibration, solved
 from helpers.session_worlds import SMALL, make_frames_in_memory
 
 from dvrk_cmaes import Body, FrameData, SessionCalibration, SessionFrame, TrackResult, calibrate_session
-from dvrk_cmaes.calibration.frame_task import Agreement
+from dvrk_cmaes.calibration.document import Agreement
 from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG
 from dvrk_cmaes.calibration.session_camera import IMPLAUSIBLE, SessionCamera
 from dvrk_cmaes.calibration.session_doubts import (

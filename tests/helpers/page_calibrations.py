@@ -11,7 +11,7 @@ import numpy as np
 from dvrk_cmaes import Result, SessionCalibration
 from dvrk_cmaes.calibration.blocks import BASE_AXES
 from dvrk_cmaes.calibration.cables import CablesAlone, SessionCables
-from dvrk_cmaes.calibration.frame_task import Agreement
+from dvrk_cmaes.calibration.document import Agreement
 from dvrk_cmaes.draw.track_overlay import draw_outlines
 from dvrk_cmaes.instrument.arm import base_from_root
 from dvrk_cmaes.results.paths import left_out_path
@@ -64,8 +64,8 @@ def calibration(frames: Sequence[Result], **changes: object) -> SessionCalibrati
     return replace(one, **changes)  # type: ignore[arg-type]
 
 
-def cables_of(frames: Sequence[Result]) -> SessionCables:
-    """Give cables of which wrist_yaw drags wrist_pitch; the frames were read a second apart."""
+def cables_of() -> SessionCables:
+    """Give cables of which wrist_yaw drags wrist_pitch."""
     names = ("roll", *JOINTS)
     none, count = (0.0,) * len(names), len(names)
     zeros = (none,) * count
@@ -87,8 +87,6 @@ def cables_of(frames: Sequence[Result]) -> SessionCables:
         seconds=(10.0,) * count,
         noise=(0.01,) * count,
         alone=CablesAlone(tuple(OFFSETS[name] for name in names), coupling, zeros, (0.05,) * count),
-        corrections={frame.frame: (0.0, 0.01 * k, 0.02, 0.0) for k, frame in enumerate(frames)},
-        times={frame.frame: float(k) for k, frame in enumerate(frames)},
     )
 
 

@@ -139,7 +139,7 @@ def test_doubts_of_a_calibration_come_first_and_what_it_cannot_tell_is_said(tmp_
         "left_out": {"e": "its mask is of another arm"},
     }
     curve = LagCurve.of("frames", np.arange(-5.0, 16.0), np.linspace(0, 4, 21))
-    session = calibration(frames, cables=cables_of(frames), lag_curve=curve, **words)
+    session = calibration(frames, cables=cables_of(), lag_curve=curve, **words)
     text = page_of(write_calibrated(tmp_path, frames, session)).text
     order = (
         "Of the whole: the arm's base or the camera moved between frames b and c",
