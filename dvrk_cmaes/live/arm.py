@@ -92,7 +92,7 @@ class LiveArm:
         self.draws = draw is not None
         self._make_tracker, self._make_drawing = make_tracker, draw
         self._outputs, self._report, self._now = outputs, report, now
-        self._reason, self._ros1, self._told = "", False, now()
+        self._reason, self._told = "", now()
         self._failures, self._origin = 0, origin
 
     def begin(self, rig: Rig) -> None:
@@ -143,7 +143,6 @@ class LiveArm:
         self.published += self._outputs.publish(
             frame.time,
             result,
-            ros1=frame.ros1,
             age=old,
             doubts=doubts,
             silent=silent,
@@ -152,7 +151,7 @@ class LiveArm:
         )
         self.poses += result.camera_from_root is not None and result.status != "lost"
         self.ok += result.status == "ok" and not doubts
-        self._told, self._ros1 = self._now(), frame.ros1
+        self._told = self._now()
         self.wait("waiting for images")
         self.base_state = self._tracker.state
 
@@ -181,4 +180,4 @@ class LiveArm:
         """Publish the state if nothing was published for a second."""
         if self._now() - self._told >= _STATE_EVERY:
             self._told = self._now()
-            self._outputs.publish_state(self.state, self._reason, ros1=self._ros1, silent=silent)
+            self._outputs.publish_state(self.state, self._reason, silent)

@@ -6,6 +6,7 @@ import re
 import time as clock
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from threading import Condition, Lock
 from typing import Any, Final, Generic, TypeVar
@@ -30,10 +31,12 @@ class Connection:
     """A connection to ROS, and this class itself one within this process, whose ``receivers`` take what is sent.
 
     Messages are plain values with the field names of ROS 2, or on receipt those of ROS 1. Sequences of bytes are base64
-    when published; on receipt they are bytes or base64. ``name`` tells how ROS is reached, for messages.
+    when published; on receipt they are bytes or base64. ``name`` tells how ROS is reached, for messages, and ``ros1``
+    whether what is received is of ROS 1.
     """
 
     name: str
+    ros1: bool = field(default=False, kw_only=True)
     receivers: dict[str, Receive] = field(default_factory=dict)
 
     def topics(self, timeout: float) -> Mapping[str, str] | None:
@@ -98,52 +101,30 @@ class Mailbox(Generic[T]):
             return values
 
 
-_QUIET: Final = 10.0  # s without a fault, after which the next one of its kind is a new one
 _OFTEN: Final = 60.0  # s after which a fault that goes on is said again
 _MOST_KINDS: Final = 500
 
 
-@dataclass
-class _Kind:
-    said: float
-    heard: float
-    suppressed: int = 0
-
-
 class LogThrottle:
-    """Hands lines on, but of lines that differ only in numbers one, and after a minute one more with their number.
+    """Hands lines on, but of lines that differ only in numbers at most one a minute.
 
     May be called from several threads. A line that cannot be written, as on a full disk, is lost without an error.
     """
 
     def __init__(self, report: Report) -> None:
         self._report = report
-        self._kinds: dict[str, _Kind] = {}
+        self._said: dict[str, float] = {}  # s, by what lines have in common
         self._lock = Lock()
 
     def __call__(self, line: str) -> None:
         """Take a line."""
+        kind, now = re.sub(r"-?\d+(?:\.\d+)?", "#", line), clock.monotonic()
         with self._lock:
-            said = self._said(line, clock.monotonic())
-        if said is not None:
-            try:
-                self._report(said)
-            except OSError:
+            if now - self._said.get(kind, -_OFTEN) < _OFTEN:
                 return
-
-    def _said(self, line: str, now: float) -> str | None:
-        """Return what is said of a line; None if nothing is."""
-        name = re.sub(r"-?\d+(?:\.\d+)?", "#", line)
-        kind = self._kinds.get(name)
-        if kind is None or now - kind.heard > _QUIET:
-            self._kinds.pop(name, None)
-            self._kinds[name] = _Kind(now, now)
-            if len(self._kinds) > _MOST_KINDS:
-                del self._kinds[next(iter(self._kinds))]
-            return line
-        kind.heard = now
-        if now - kind.said <= _OFTEN:
-            kind.suppressed += 1
-            return None
-        suppressed, kind.suppressed, kind.said = kind.suppressed, 0, now
-        return f"{line} (and {suppressed} like it)" if suppressed else line
+            self._said.pop(kind, None)
+            self._said[kind] = now
+            if len(self._said) > _MOST_KINDS:
+                del self._said[next(iter(self._said))]
+        with suppress(OSError):
+            self._report(line)

@@ -131,18 +131,15 @@ class Decoded:
 
 @dataclass(frozen=True, eq=False)
 class LiveFrame:
-    """A frame that was received: its time, ns, whether that was written as in ROS 1, and the fields of its messages.
+    """A frame that was received: its time, ns, and the fields of its messages by eye and topic.
 
-    ``images`` are by eye, ``masks`` by arm and eye. ``received`` is when the first message came, on the clock of the
-    inputs, s.
+    ``received`` is when the first message came, on the clock of the inputs, s.
     """
 
     time: int
-    ros1: bool
     topics: InputTopics
     received: float
-    images: Mapping[str, Fields]
-    masks: Mapping[str, Mapping[str, Fields]] = field(default_factory=dict)
+    parts: Mapping[str, Mapping[str, Fields]]
 
     @property
     def topic(self) -> str:
@@ -154,27 +151,25 @@ class LiveFrame:
 
         An image of another size than its mask is resized.
         """
-        eyes, masks = self.topics.eyes, dict[str, dict[str, Bool]]()
-        for arm, of_arm in self.masks.items():
-            masks[arm] = {
-                eye: np.asarray(read_pixels(eyes[eye].masks[arm], fields, grey=True) > _THRESHOLD)
-                for eye, fields in of_arm.items()
-            }
-        sizes, images = Decoded({}, masks).sizes, {}
-        for eye, fields in self.images.items():
-            pixels = read_pixels(eyes[eye].image, fields, grey=grey)
-            height, width = sizes.get(eye, pixels.shape[:2])
-            if pixels.shape[:2] != (height, width):
-                pixels = np.asarray(cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-            images[eye] = pixels
+        images, masks = dict[str, NDArray[np.uint8]](), dict[str, dict[str, Bool]]()
+        for eye, fields in self.parts.items():
+            topics, size = self.topics.eyes[eye], None
+            for arm, topic in topics.masks.items():
+                if topic in fields:
+                    mask = np.asarray(read_pixels(topic, fields[topic], grey=True) > _THRESHOLD)
+                    masks.setdefault(arm, {})[eye], size = mask, mask.shape[::-1]
+            if topics.image in fields:
+                pixels = read_pixels(topics.image, fields[topics.image], grey=grey)
+                if size is not None and pixels.shape[1::-1] != size:
+                    pixels = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.uint8)
+                images[eye] = pixels
         return Decoded(images, masks)
 
 
 @dataclass(eq=False)
 class _FrameParts:
-    """What has come of an eye's frame of one time: whether written as in ROS 1, when first, and the fields by topic."""
+    """What has come of an eye's frame of one time: when first, and the fields by topic."""
 
-    ros1: bool
     received: float
     fields: dict[str, Fields] = field(default_factory=dict)
 
@@ -223,7 +218,8 @@ class Inputs:
         self._silent: set[str] = set()
 
     def subscribe(self, connection: Connection) -> None:
-        """Subscribe to all topics."""
+        """Subscribe to all topics; answers on the connection are as of the ROS that its images come from."""
+        self._connection = connection
         for name, eye in self.topics.eyes.items():
             for topic, kind in eye.of_frames.items():
                 self._subscribe(connection, topic, kind, partial(self._on_part, name, topic), largest=LARGEST_IMAGE)
@@ -282,10 +278,11 @@ class Inputs:
     def _on_part(self, eye: str, topic: str, fields: Fields) -> None:
         """Keep an image or a mask; where a frame has all of its parts, it is the newest one."""
         stamp, now = read_stamp(topic, fields), self.now()
+        self._connection.ros1 = stamp.ros1
         self._heard[topic] = now
         self._first = now if self._first is None else self._first
         of_eye = self._parts[eye]
-        of_eye.setdefault(stamp.time, _FrameParts(stamp.ros1, now)).fields[topic] = fields
+        of_eye.setdefault(stamp.time, _FrameParts(now)).fields[topic] = fields
         self._drop_oldest(of_eye)
         frame = self._whole_frame(now)
         if frame is not None:
@@ -321,23 +318,12 @@ class Inputs:
 
     def _taken(self, times: Mapping[str, int]) -> LiveFrame:
         """Return the frame of times by eye, the reference first, and forget its parts and older ones."""
-        reference = self._parts[next(iter(times))][next(iter(times.values()))]
-        images: dict[str, Fields] = {}
-        masks: dict[str, dict[str, Fields]] = {}
-        received = reference.received
-        for name, time in times.items():
-            parts, eye = self._parts[name][time], self.topics.eyes[name]
-            received = min(received, parts.received)
-            if eye.image in parts.fields:
-                images[name] = parts.fields[eye.image]
-            for arm, topic in eye.masks.items():
-                if topic in parts.fields:
-                    masks.setdefault(arm, {})[name] = parts.fields[topic]
-        first = next(iter(times.values()))
+        parts, first = {eye: self._parts[eye][time] for eye, time in times.items()}, next(iter(times.values()))
         for name, of_eye in self._parts.items():
             for time in [time for time in of_eye if time <= times.get(name, first)]:
                 del of_eye[time]
-        return LiveFrame(first, reference.ros1, self.topics, received, images, masks)
+        received = min(one.received for one in parts.values())
+        return LiveFrame(first, self.topics, received, {eye: one.fields for eye, one in parts.items()})
 
     def _on_joints(self, topic: str, mailbox: Mailbox[JointMessage], fields: Fields) -> None:
         readings = read_joint_message(topic, fields)

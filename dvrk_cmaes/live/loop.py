@@ -23,9 +23,6 @@ from dvrk_cmaes.live.inputs import Decoded, Inputs, LiveFrame
 from dvrk_cmaes.live.stamps import Ages, ImageTimes
 
 _WAIT: Final = 0.1  # s, for an image, before silence is looked for
-_AGREEING: Final = 3  # frames in a row of another size, which show that it is not a damaged message
-_CAUGHT_UP: Final = 1.0  # s, after which frames that are late must have become newer, or are followed all the same
-_NOT_AGAIN: Final = 30.0  # s, until that is tried again
 _LATEST: Final = 100  # frames, the oldest of whose images is stated
 
 Sizes = Mapping[str, tuple[int, int]]
@@ -72,12 +69,8 @@ class LiveLoop:
         self._given = rig
         self._stated: Rig | None = None
         self._rig: Rig | None = None  # of the images' size
-        self._other: tuple[Sizes, int] = {}, 0  # sizes other than these, and of how many frames in a row
         self._times, self._ages = ImageTimes(), Ages()
         self._latest: deque[float] = deque(maxlen=_LATEST)
-        self._late: tuple[float, float] | None = None  # since when newer frames are waited for, and how late they were
-        self._held: LiveFrame | None = None  # the newest of these, which is followed if there is no newer one
-        self._not_before = 0.0
         if rig is not None:
             self._use(rig)
 
@@ -103,11 +96,8 @@ class LiveLoop:
             self._use(rig)
         frame = self._inputs.frames.take(wait)
         silent = self._inputs.report_silence()
-        if self._stated is not None:
-            if frame is not None:
-                self._take(frame, self._stated, silent)
-            elif self._held is not None:
-                self._try(self._held, self._stated, silent)
+        if self._stated is not None and frame is not None:
+            self._take(frame, self._stated, silent)
         for arm in self._arms:
             arm.publish_if_due(silent)
         self._show(self._state)
@@ -153,16 +143,9 @@ class LiveLoop:
             self._times, self._ages = ImageTimes(), Ages()
             self._begin()
         if not judged.used:
-            self._leave_out(f"{frame.topic}: {judged.status}")
+            self._leave_out(f"{frame.topic}: {judged.line}")
             return
         self._ages.receive(frame.time, frame.received)
-        self._held = frame if self._is_overtaken(self._ages.age(frame.time, frame.received)) else None
-        if self._held is None:
-            self._try(frame, stated, silent)
-
-    def _try(self, frame: LiveFrame, stated: Rig, silent: tuple[str, ...]) -> None:
-        """Follow a frame, if it can be decoded."""
-        self._held = None
         try:
             arrays = frame.decoded(grey=not (any(arm.draws for arm in self._arms) or not frame.topics.masked))
             self._fit(arrays.sizes, stated, frame.topic)
@@ -200,25 +183,6 @@ class LiveLoop:
             self.counts.restarts += 1
         return followed
 
-    def _is_overtaken(self, late: float) -> bool:
-        """Return whether newer frames are waited for instead of following one that came so much later than others, s.
-
-        While nothing is followed, what waits to be received is received. If frames are not newer then, as those of a
-        recording that is played slowly, they are followed as they come.
-        """
-        now = self._inputs.now()
-        if late <= OLD or now < self._not_before:
-            self._late = None
-            return False
-        since, before = self._late or (now, late)
-        if self._late is None or (now - since > _CAUGHT_UP and late < before - _CAUGHT_UP / 2):
-            self._late = now, late
-            return True
-        if now - since <= _CAUGHT_UP:
-            return True
-        self._late, self._not_before = None, now + _NOT_AGAIN
-        return False
-
     def _leave_out(self, reason: str) -> None:
         """Count a frame that is left out."""
         self.counts.refused += 1
@@ -231,12 +195,10 @@ class LiveLoop:
         Raises
         ------
         InputError
-            The images are of another aspect than the camera's, or of another size than those before.
+            The images are of another aspect than the camera's.
         """
         now = {view.name: (view.camera.height, view.camera.width) for view in (self._rig or stated).views}
         same = all(now[eye] == size for eye, size in sizes.items())
-        before, count = self._other
-        self._other = sizes, 0 if same else 1 + (count if sizes == before else 0)
         if self._rig is not None and same:
             return
         try:
@@ -244,9 +206,6 @@ class LiveLoop:
             fitted = {eye: match_size(stated.view(eye).camera, size, what) for eye, size in sizes.items()}
         except InputError as error:
             raise InputError(str(error).partition(" (--")[0]) from None  # options of other commands
-        if self._rig is not None and self._other[1] < _AGREEING:
-            (height, width), (h, w) = next((size, now[eye]) for eye, size in sizes.items() if now[eye] != size)
-            raise InputError(f"{topic}: expected images of {w} x {h} px, as those before, got {width} x {height}")
         for _, note in fitted.values():
             if note is not None:
                 self._report(note)

@@ -86,7 +86,6 @@ class Outputs:
         time: int,
         result: TrackResult,
         *,
-        ros1: bool = False,
         age: float = 0.0,
         doubts: Sequence[str] = (),
         silent: Sequence[str] = (),
@@ -95,7 +94,7 @@ class Outputs:
     ) -> bool:
         """Publish the result of the image of a time, ns; returns whether everything was sent.
 
-        ``ros1`` writes times as in ROS 1. ``age`` is that of the image, s, and ``doubts`` are reasons why a pose is not
+        ``age`` is that of the image, s, and ``doubts`` are reasons why a pose is not
         ok that its tracker does not know. ``silent`` are topics that have stopped; ``overlay`` is (H, W, 3), BGR.
         ``calibration`` says how far the arm's base is known.
         """
@@ -112,17 +111,18 @@ class Outputs:
         messages = [*self._found(time, result, status), self._status_message(time, level, status, values)]
         if overlay is not None:
             messages.append(self._overlay(time, overlay))
-        sent = [self._send(message, ros1=ros1) for message in messages]
+        sent = [self._send(message) for message in messages]
         return all(sent)
 
-    def publish_state(self, state: str, reason: str, *, ros1: bool, silent: Sequence[str]) -> bool:
+    def publish_state(self, state: str, reason: str, silent: Sequence[str]) -> bool:
         """Publish a status without a result: why there is no pose now; returns whether it was sent."""
         values = {"reasons": reason, "silent_topics": " ".join(silent)}
-        return self._send(self._status_message(clock.time_ns(), 2, state, values), ros1=ros1)
+        return self._send(self._status_message(clock.time_ns(), 2, state, values))
 
-    def _send(self, message: RosMessage, *, ros1: bool) -> bool:
-        """Publish a message; returns whether it was sent."""
-        return self._connection.publish(message.topic, _as_ros1(message.fields) if ros1 else message.fields)
+    def _send(self, message: RosMessage) -> bool:
+        """Publish a message, with times as in ROS 1 where that is answered; returns whether it was sent."""
+        fields = _as_ros1(message.fields) if self._connection.ros1 else message.fields
+        return self._connection.publish(message.topic, fields)
 
     def _found(self, time: int, result: TrackResult, status: str) -> Iterator[RosMessage]:
         """Yield the messages of a pose and joints that were found."""

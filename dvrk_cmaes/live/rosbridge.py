@@ -1,8 +1,7 @@
 """Connection to ROS over a websocket, to a rosbridge server, with the library roslibpy.
 
 The connection is opened again whenever it is lost. Messages are published only while it is open and the server takes
-them; of those that it does not take yet, the newest of each topic is kept, so that memory does not grow and what
-arrives is new.
+them; others are dropped, so that memory does not grow and what arrives is new.
 
 Messages are told apart here, not by roslibpy, whose events of topics and of the connection share their names.
 """
@@ -13,7 +12,7 @@ import json
 import logging
 from collections.abc import Callable, Mapping
 from functools import partial
-from threading import Event, Lock
+from threading import Event
 from typing import Any, Final
 
 import msgspec
@@ -70,12 +69,13 @@ class RosbridgeConnection(Connection):
         self._has_topics = Event()
         self._protocol: Any = None
         self._ros: Any = None
-        self._flow = _Flow(self._send)
-        self._log = _LogReports(self.name, report)
+        self._flow = _Flow()
 
     def open(self, timeout: float) -> bool:
         """Start to connect; returns whether there is a connection after ``timeout`` s. Attempts go on if not."""
-        self._log.start()
+        for name in ("roslibpy", "twisted"):  # what they would log is reported here
+            logging.getLogger(name).addHandler(logging.NullHandler())
+            logging.getLogger(name).propagate = False
         host, port = self._address
         self._ros = self._roslibpy.Ros(host, port)
         factory = self._ros.factory
@@ -95,7 +95,6 @@ class RosbridgeConnection(Connection):
         if ros is not None:
             ros.call_later(0, ros.factory.stopTrying)
             ros.close()
-        self._log.stop()
 
     def subscribe(
         self, topic: str, kind: str, receive: Receive, *, largest: int = LARGEST_MESSAGE, newest: bool = False
@@ -109,16 +108,10 @@ class RosbridgeConnection(Connection):
         self._announce({"op": "advertise", "topic": topic, "type": kind})
 
     def publish(self, topic: str, fields: Mapping[str, Any]) -> bool:
-        """Send a message unless there is no connection or the server does not take what was sent before.
-
-        Of messages that it does not take yet, the newest of each topic is sent when it goes on.
-        """
-        if not self._ready.is_set():
+        """Send a message unless there is no connection or the server does not take what was sent before."""
+        if not self._ready.is_set() or self._flow.stopped:
             return False
-        message = {"op": "publish", "topic": topic, "msg": dict(fields)}
-        if self._flow.keeps(topic, message):
-            return False
-        self._send(message)
+        self._send({"op": "publish", "topic": topic, "msg": dict(fields)})
         return True
 
     def topics(self, timeout: float) -> Mapping[str, str] | None:
@@ -152,9 +145,9 @@ class RosbridgeConnection(Connection):
     def _on_ready(self, protocol: Any) -> None:
         if protocol is self._protocol:
             return
-        self._flow.begin()
+        self._flow.stopped = False
         protocol.registerProducer(self._flow, True)
-        protocol.on_message = self._on_message
+        protocol.on_message = self._on_payload
         self._protocol = protocol
         for message in self._announcements:
             self._send(message)
@@ -167,8 +160,14 @@ class RosbridgeConnection(Connection):
             self._ready.clear()
             self._report(f"{self.name}: connection lost; trying again")
 
+    def _on_payload(self, payload: bytes) -> None:
+        """Hand a message to the receiver of its topic; one that cannot be read costs a line."""
+        try:
+            self._on_message(payload)
+        except Exception as error:
+            self._report(f"{self.name}: a message that cannot be read: {one_line(error)}")
+
     def _on_message(self, payload: bytes) -> None:
-        """Hand a message to the receiver of its topic; an error is reported by `_LogReports`."""
         operation, read = _read_operation(payload)
         if operation.op == "status":
             if operation.level in ("error", "warning"):
@@ -205,68 +204,15 @@ def _read_operation(payload: bytes) -> tuple[_Operation, Callable[[], Any]]:
 
 
 class _Flow:
-    """Is told by the websocket's buffer when to stop sending, and when to go on; keeps the newest messages meanwhile.
+    """Is told by the websocket's buffer when to stop sending, and when to go on."""
 
-    ``send`` is called with them when sending goes on.
-    """
-
-    def __init__(self, send: Callable[[dict[str, Any]], None]) -> None:
-        self._send = send
-        self._stopped = False
-        self._newest: dict[str, dict[str, Any]] = {}
-        self._lock = Lock()
-
-    def keeps(self, topic: str, message: dict[str, Any]) -> bool:
-        """Keep a message until sending goes on, instead of an earlier one of its topic; False if it may be sent."""
-        with self._lock:
-            if self._stopped:
-                self._newest[topic] = message
-            return self._stopped
-
-    def begin(self) -> None:
-        """Begin with a new connection, which nothing was sent to."""
-        with self._lock:
-            self._stopped = False
-            self._newest.clear()
+    def __init__(self) -> None:
+        self.stopped = False
 
     def pauseProducing(self) -> None:  # noqa: N802 (Twisted's name)
-        with self._lock:
-            self._stopped = True
+        self.stopped = True
 
     def resumeProducing(self) -> None:  # noqa: N802
-        with self._lock:
-            newest, self._newest = self._newest, {}
-            self._stopped = False
-        for message in newest.values():
-            self._send(message)
+        self.stopped = False
 
     stopProducing = pauseProducing  # noqa: N815
-
-
-class _LogReports(logging.Handler):
-    """Turns log messages of exceptions in roslibpy, e.g. for a message that is not JSON, into lines for the user."""
-
-    def __init__(self, name: str, report: Report) -> None:
-        super().__init__(logging.ERROR)
-        self._source = name
-        self._line = report
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Report an error in one line."""
-        error = record.exc_info[1] if record.exc_info else None
-        if type(error).__name__ == "Disconnected":
-            return  # a message was on its way when the connection closed, which is reported by itself
-        reason = record.getMessage() if error is None else one_line(error)
-        self._line(f"{self._source}: a message that cannot be read: {reason}")
-
-    def start(self) -> None:
-        """Receive the errors."""
-        for name in ("roslibpy", "twisted"):
-            logging.getLogger(name).addHandler(self)
-            logging.getLogger(name).propagate = False
-
-    def stop(self) -> None:
-        """Receive them no longer."""
-        for name in ("roslibpy", "twisted"):
-            logging.getLogger(name).removeHandler(self)
-            logging.getLogger(name).propagate = True

@@ -40,11 +40,10 @@ class Ages:
 
 @dataclass(frozen=True)
 class Judgement:
-    """Whether an image is followed, whether following begins anew with it, and lines for status and user, or none."""
+    """Whether an image is followed, whether following begins anew with it, and a line that says why, or is empty."""
 
     used: bool
     restarts: bool = False
-    status: str = ""
     line: str = ""
 
 
@@ -52,47 +51,33 @@ class ImageTimes:
     """Judges images by their times.
 
     An image is followed if it is later than the last one, by at most `LONGEST_GAP`. One that is not may have a wrong
-    time, and is left out; where three in a row continue each other, the clock was set, and following begins anew. The
-    user gets one line for what was left out, or for the clock.
+    time, and is left out; where three in a row continue each other, the clock was set, and following begins anew.
     """
 
     def __init__(self) -> None:
-        self._last: int | None = None
-        self._left_out: list[int] = []
+        self._last: int | None = None  # ns, of the last image that was followed
+        self._left_out: int | None = None  # ns, of the last one since that was not
         self._agreeing = 0
-        self._told = False
 
     def judge(self, time: int) -> Judgement:
         """Judge the next image by its time, ns."""
         if time <= 0:
             line = f"header.stamp: expected the time of the image, got {time / NANOSECONDS:g} s"
-            return Judgement(used=False, status=line, line=line)
+            return Judgement(used=False, line=line)
         if self._last is None or _continues(self._last, time):
-            line = "" if self._told or not self._left_out else self._what_was_left_out()
-            self._told |= bool(line)
-            return Judgement(used=True, line=line)
-        agrees = bool(self._left_out) and _continues(self._left_out[-1], time)
-        self._agreeing = self._agreeing + 1 if agrees else 1
-        self._left_out = [*self._left_out[-_AGREEING:], time]
+            return Judgement(used=True)
+        agrees = self._left_out is not None and _continues(self._left_out, time)
+        self._agreeing, self._left_out = self._agreeing + 1 if agrees else 1, time
+        ahead = (time - self._last) / NANOSECONDS
         if self._agreeing >= _AGREEING:
-            jump = (time - self._last) / NANOSECONDS
-            line = f"header.stamp: the time of the images has jumped by {jump:+z.1f} s; following begins anew"
+            line = f"header.stamp: the time of the images has jumped by {ahead:+z.1f} s; following begins anew"
             return Judgement(used=True, restarts=True, line=line)
-        status = self._what_was_left_out()
-        says = not self._told and len(self._left_out) >= _AGREEING
-        self._told |= says
-        return Judgement(used=False, status=status, line=status if says else "")
+        what = f"{ahead:+z.1f} s from the last one" if ahead else "at the time of the last one"
+        return Judgement(used=False, line=f"header.stamp: images that are {what} are left out")
 
     def follow(self, time: int) -> None:
         """Go on from an image that was followed."""
-        self._last, self._left_out, self._agreeing, self._told = time, [], 0, False
-
-    def _what_was_left_out(self) -> str:
-        """Describe the time of the first image that was left out since the last one that was followed."""
-        assert self._last is not None
-        distance = (self._left_out[0] - self._last) / NANOSECONDS
-        what = f"{distance:+z.1f} s from the last one" if distance else "at the time of the last one"
-        return f"header.stamp: images that are {what} are left out"
+        self._last, self._left_out, self._agreeing = time, None, 0
 
 
 def _continues(before: int, time: int) -> bool:

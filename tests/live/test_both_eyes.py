@@ -129,13 +129,13 @@ def test_eye_that_is_silent_is_not_waited_for() -> None:
     assert frame_at(1.0, "right") is None
     alone = frame_at(1.6, "right")
     assert alone is not None
-    assert {arm: list(eyes) for arm, eyes in alone.masks.items()} == {"PSM1": ["left"], "PSM2": ["left"]}
+    assert {arm: list(eyes) for arm, eyes in alone.decoded().masks.items()} == {"PSM1": ["left"], "PSM2": ["left"]}
     both = frame_at(1.7, "")
     assert both is not None
     masks_at(robot, 1.8)
     again = robot.inputs.frames.take(0.0)
     assert again is not None
-    assert list(again.masks["PSM1"]) == ["left", "right"]
+    assert list(again.decoded().masks["PSM1"]) == ["left", "right"]
 
 
 def test_images_without_the_masks_that_are_awaited_are_no_frames_and_no_error() -> None:
@@ -217,7 +217,7 @@ def test_age_is_that_since_the_least_way_of_an_image() -> None:
 
 def test_poses_of_old_images_are_doubtful_with_a_line() -> None:
     robot = Robot(PLAIN, Rig.of_camera(camera()))
-    ways = [0.0, 0.4, *[1.5] * 60]  # of which the last do not become shorter when they are waited for
+    ways = [0.0, 0.4, *[1.5] * 10]
     for k, way in enumerate(ways):
         robot.clock.now = 100.0 + k / 10 + way
         robot.send("/left/image_rect/compressed", image(k / 10, np.zeros((48, 64), np.uint8)))
@@ -230,21 +230,7 @@ def test_poses_of_old_images_are_doubtful_with_a_line() -> None:
     assert values["reasons"] == "the image is 1.5 s old"
     assert float(values["age_ms"]) == pytest.approx(1500, abs=5)
     assert "images are 1.5 s old: this computer, or the way here, is too slow" in robot.lines
-    assert len(followed) > 40
-
-
-def test_images_that_came_late_are_dropped_for_those_that_wait_behind_them() -> None:
-    robot = Robot(PLAIN, Rig.of_camera(camera()))
-    for k in range(31):  # of which the first is in time, and the others are received within 0.3 s, three seconds later
-        robot.clock.now = 100.0 if k == 0 else 103.0 + k / 100
-        robot.send("/left/image_rect/compressed", image(k / 10, np.zeros((48, 64), np.uint8)))
-        robot.loop.turn()
-    times = [time - BEGIN / SECOND for time, *_ in robot.trackers["PSM1"][0].steps]
-    assert times[0] == pytest.approx(0.0, abs=1e-6)
-    assert times[1] > 2.0
-    robot.send("/left/image_rect/compressed", image(3.05, np.zeros((48, 64), np.uint8)))
-    robot.loop.turn()
-    assert not any("doubtful" in str(fields) for fields in robot.published("/diagnostics"))
+    assert len(followed) == len(ways)
 
 
 @pytest.mark.parametrize("change", ["focal length", "size"])

@@ -149,19 +149,16 @@ def connected() -> Iterator[tuple[RosbridgeServer, RosbridgeConnection, list[str
     server.stop()
 
 
-def test_of_messages_that_a_slow_server_does_not_take_the_newest_is_sent(
+def test_messages_that_a_slow_server_does_not_take_are_dropped(
     connected: tuple[RosbridgeServer, RosbridgeConnection, list[str]],
 ) -> None:
     server, connection, _ = connected
-    for topic in ("/tf", "/pose"):
-        connection.advertise(topic, "std_msgs/String")
-    wait_for(lambda: len(server.advertised) == 2)
+    connection.advertise("/tf", "std_msgs/String")
+    wait_for(lambda: len(server.advertised) == 1)
     connection._flow.pauseProducing()
     for k in range(100):
         assert not connection.publish("/tf", {"data": str(k)})
-    assert not connection.publish("/pose", {"data": "only"})
     connection._flow.resumeProducing()
-    wait_for(lambda: len(server.received) == 2)
     assert connection.publish("/tf", {"data": "later"})
-    wait_for(lambda: len(server.received["/tf"]) == 2)
-    assert [message["data"] for _, message in server.received["/tf"]] == ["99", "later"]
+    wait_for(lambda: len(server.received.get("/tf", [])) == 1)
+    assert [message["data"] for _, message in server.received["/tf"]] == ["later"]
