@@ -374,7 +374,6 @@ class TrackConfig:
         Points of the outline that are compared with the edges that an image's colours show.
     lag_std
         Standard deviation of the lag at the start, s, if it is not given.
-        Largest number of modes of the first frame that are followed until one is decided.
     black_level
         Value of the brightest pixel below which an image counts as black.
     colour_share
@@ -386,7 +385,6 @@ class TrackConfig:
 
     points: int = 350
     lag_std: float = 0.1
-    modes: int = 3
     black_level: int = 16
     colour_share: float = 0.15
     reading_gap: float = 0.15
@@ -445,6 +443,7 @@ def _as_dict(tree: Any) -> dict[str, Any]:
 REMOVED = {
     "session.rounds": "frames and session are solved in four rounds",
     "session.masks_again": "masks stay as `batch` found them",
+    "track.modes": "the most probable mode is followed",
     "session.focal_length_percent": "see camera.focal_length_percent",
     "session.principal_point_px": "see camera.principal_point_percent, of the focal length",
     **dict.fromkeys(("search.screened", "search.screen_shrink", "search.screen_detail_m"), "see search.samples"),

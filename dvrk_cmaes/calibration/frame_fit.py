@@ -75,13 +75,12 @@ class LocalFit:
     """A pose that was fitted with what was expected of it.
 
     ``information`` (D, D), D = 6 + J, is the Gauss-Newton matrix of what the image alone shows at the fit, and
-    ``slope`` (D,) the gradient of half its sum of squares. ``score`` is the negative log-likelihood of the fit.
+    ``slope`` (D,) the gradient of half its sum of squares.
     """
 
     at: Posed
     information: Float64
     slope: Float64
-    score: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -319,7 +318,6 @@ def _last_step(
         slope=slope,
         side_offsets=coverage.views[0].side_offsets(end) if preset.in_session else None,
         by_masks=by_masks,
-        score=fit.score,
     )
 
 

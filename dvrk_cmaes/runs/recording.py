@@ -242,7 +242,7 @@ def follow_window(solution: RecordedSolution, work: ArmSetup) -> list[TrackResul
     window = Window(session, camera, instrument, config)
     for i, fitted in enumerate(fits):
         at, spread = predicted.at[i], predicted.spread[i]
-        evidence = FitEvidence.of(None, at, spread, holds=False)
+        evidence = FitEvidence.of(None, at, spread)
         if fitted is not None:
             inflation, holds = fitted.stored.own.noises[0].inflation(camera.pixel_scale), fitted.fit.explains_mask
             evidence = FitEvidence.of(fitted.fit, at, spread, inflation=inflation, holds=holds)

@@ -37,7 +37,6 @@ _FAR = ((48.0, 2), (48.0, 2), (24.0, 2), (24.0, 2), *_NEAR)
 _CORRELATION_PX = 8.0  # of edge that counts as one measurement
 _SIGMA_PX = 0.2  # standard deviation of an exact edge
 _OUTLIER = 2.0  # standard deviations, scale of the robust weight
-_UNSUPPORTED = 9.0  # squared standard deviations that a measurement counts whose edge is not found
 _SUPPORT_PX = 3.0  # distance within which an edge supports a point of the outline
 _BESIDE = 3  # px from the outline, beyond which the instrument's colours tell that it is elsewhere
 _FARTHEST = 12.0  # pixels of the image as it is sampled; to look farther, the image is reduced
@@ -270,22 +269,19 @@ class ColourEdges(OutlineTerm[tuple[Float64, Float64, Float64]]):
         information, slope = zip(*((w @ motion, w @ distance) for motion, distance, w in weighted), strict=True)
         return Quadratic(np.array(information), np.array(slope))
 
-    def fit(self, at: Posed, expected: Expected) -> EdgeFit | None:
+    def fit(self, at: Posed) -> EdgeFit | None:
         """Measure how the images support a pose; None if it is behind the camera."""
         moving, lengths = self._model.move(self._drawn, at), self._drawn.lengths
         if moving is None:
             return None
-        edges, drawn = self._edges(moving.pixels), self.draw(at[None])
-        near = self.near(drawn, at[None])
+        edges, near = self._edges(moving.pixels), self.near(self.draw(at[None]), at[None])
         close = edges.found & (np.abs(edges.distance) < _SUPPORT_PX)
         now, views = self._drawn.split(moving.pixels), self._drawn.by_view
         beside = [self._images[view].unexplained(now[view], outline) for view, outline in views.items()]
         sigma = NORMAL_MEDIAN * median(np.abs(edges.distance[close])) if close.any() else None
-        score = self.score_of(drawn[0]) + 0.5 * float(expected.cost(at[None])[0])
-        score += 0.5 * _UNSUPPORTED * float(lengths[~edges.found].sum()) / _CORRELATION_PX
         supported = float(lengths[close].sum() / lengths.sum())
         information, slope = near.information[0], near.slope[0]
-        return EdgeFit(at, information, slope, score, supported, float(np.mean(beside)), sigma)
+        return EdgeFit(at, information, slope, supported, float(np.mean(beside)), sigma)
 
     def _measured(self, at: Posed) -> tuple[Float64, Float64, Float64]:
         """Return the motion (N, D) of the outline's points at a pose, their distances (N,), px, and weights (N,)."""
@@ -371,7 +367,7 @@ def fit_edges(
         term = ColourEdges(model, drawn, images, reach, covariance)
         (fit,) = refine(term, (expected, limits), at[None], Steps(steps, tested="none"))
         at, covariance = fit.at, np.asarray(np.linalg.inv(fit.information))
-    return term.fit(at, expected)
+    return term.fit(at)
 
 
 def learned(image: Image, pixels: Float64, outline: DrawnOutline, ignore: Bool | None = None) -> EdgeAppearance:

@@ -3,38 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.consensus import INLIER_MISFIT
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.prediction import (
-    WRIST_ERROR,
-    FoundLag,
-    Prediction,
-    endoscope_at,
-    lag_and_std,
-    lag_of,
-)
-from dvrk_cmaes.calibration.session_masks import changes_by_masks, covariance_of_masks
+from dvrk_cmaes.calibration.prediction import FoundLag, lag_and_std, lag_of
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.names import ECM_JOINTS
-from dvrk_cmaes.pose.camera_errors import covariance_by_camera
 from dvrk_cmaes.pose.doubts import (
     NO_OUTER_READINGS,
-    RELIED_ON,
-    TIPS_NOT_ACCURATE,
     base_not_known,
     base_uncertain,
     readings_too_sparse,
     reasons,
-    tips_not_accurate,
     too_few_keyframes,
 )
-from dvrk_cmaes.pose.expected_error import expected_error
-from dvrk_cmaes.pose.probability import tip_probability
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import BaseKnown, TrackResult, doubted
@@ -43,54 +27,6 @@ from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Sol
 from dvrk_cmaes.track.keyframes import NEW_AT_MOST, SOLVED_AT, KeyframeStore
 from dvrk_cmaes.track.reading_buffer import ReadingAt, ReadingBuffer
 from dvrk_cmaes.track.view_segmenter import Seen
-from dvrk_cmaes.track.window import mean_of_tips_mm
-
-_KNOWN: Final = 2.5  # of the error of the tips that is ok: largest of those that are expected but for the lag
-
-
-def confirmed_by(
-    calibration: SessionCalibration,
-    result: TrackResult,
-    reading: ReadingAt,
-    lag_std: float,
-    given: Followed,
-) -> TrackResult | None:
-    """Return the result of an image with the error that is expected of it, if a calibration expects it there.
-
-    ``reading`` is that of the time of the image less the calibration's lag, whose standard deviation is ``lag_std``, s.
-    The error by the margin of the masks is added, as far as the keyframes tell it. None if the calibration expects the
-    instrument elsewhere, or too little is known to say.
-    """
-    instrument, trust = given.instrument, given.config.trust
-    if result.camera_from_root is None or result.covariance is None or not reading.has_outer or reading.still:
-        return None
-    at = posed(result, instrument.joint_names)
-    readings, names = (reading.outer[None], reading.joints[None]), instrument.joint_names
-    endoscope = endoscope_at(calibration, result.time, reading.ecm)
-    expected = Prediction.of(calibration, *readings, names, wrist=WRIST_ERROR, endoscope=endoscope)
-    if expected_error(instrument, expected.at[0], expected.spread[0]).of_tips_mm > _KNOWN * trust.tip_mm:
-        return None
-    moved = lag_std * reading.rates[None]
-    late = Prediction.of(calibration, *readings, names, late=moved, wrist=WRIST_ERROR, endoscope=endoscope)
-    apart = at.minus(expected.at[0])
-    spread = late.spread[0] + result.covariance
-    if float(apart @ np.linalg.solve(spread, apart)) > INLIER_MISFIT * len(apart):
-        return None
-    camera = calibration.corrected(given.rig.views[0].camera)
-    covariance = result.covariance + covariance_of_masks(calibration.masks, changes_by_masks(at, camera, instrument))
-    of_camera = covariance_by_camera(instrument, camera, at, calibration.camera_errors)
-    error = expected_error(instrument, at, covariance, of_camera)
-    probability = tip_probability(error.of_tips_mm, trust.tip_mm)
-    reason = tips_not_accurate(error, trust)
-    return replace(
-        result,
-        status="ok" if reason is None else "doubtful",
-        reasons=() if reason is None else (reason,),
-        covariance=covariance,
-        tip_std_mm=mean_of_tips_mm(instrument, error),
-        tip_probability=probability,
-    )
-
 
 _BY_THE_BASE = 1.3  # of the error of the tips that is ok: the most that a first solution may leave, before any image
 _LAG_STD = 0.055  # s, largest standard deviation of a lag that keyframes tell
@@ -113,7 +49,6 @@ class CalibratedFollower:
         self._bases = 0  # that were given up
         self._own = False  # whether the calibration is that of the keyframes
         self._following = None if calibration is None else self._by(calibration)
-        self._confirms: SessionCalibration | None = None  # that does not tell the lag: images are not followed by it
         self._began = 0.0  # s, the image from which the calibration has been followed by
         self._last: tuple[float, Posed] | None = None  # time, s, pose and joints of the last image that has some
 
@@ -208,9 +143,8 @@ class CalibratedFollower:
         if solution.calibration is None or solution.reason:
             return False
         if self.calibration is None and not self._is_useful(solution):
-            self._confirms = solution.calibration if solution.keyframes >= RELIED_ON else None
             return False
-        self._own, self._confirms = True, None
+        self._own = True
         self._following = self._by(solution.calibration)
         return True
 
@@ -289,7 +223,7 @@ class CalibratedFollower:
             self._bases += 1
             self._alone.clear()
             self.store.clear()
-        self._own, self._confirms = False, None
+        self._own = False
 
     def offer(self, time: float, reading: ReadingAt, seen: Seen, following: Follower | None) -> bool:
         """Keep an image as a keyframe, if it is worth that; returns whether it is.
@@ -307,23 +241,17 @@ class CalibratedFollower:
         rates = dict(zip(names, [*reading.outer_rate.tolist(), *reading.joint_rate.tolist()], strict=True))
         segmenter = self._given.segmenter
         masks = segmenter.given(seen)
-        if not masks and following is not None and following.last.explained and self.store.is_new(time, readings):
+        if not masks and following is not None and following.explained and self.store.is_new(time, readings):
             masks = following.masks_of(seen)
         return bool(masks) and self.store.offer(time, masks, segmenter.ignored(seen), readings, rates)
 
-    def unconfirmed(self, result: TrackResult, readings: ReadingBuffer) -> TrackResult:
+    def unconfirmed(self, result: TrackResult) -> TrackResult:
         """Return the result of an image that is not followed by a calibration, whether readings tell the base or not.
 
-        It is ok only if a solution that does not determine the lag expects it there.
+        It is not ok.
         """
         if result.status == "lost":
             return result
-        only_tips = all(reason.startswith(TIPS_NOT_ACCURATE) for reason in result.reasons)
-        if only_tips and self._confirms is not None:
-            late, std = lag_and_std(self._confirms, self._given.config.track.lag_std)
-            confirmed = confirmed_by(self._confirms, result, readings.at(result.time - late), std, self._given)
-            if confirmed is not None and confirmed.status == "ok":
-                return confirmed
         tips = "" if result.tip_std_mm is None else f", tips to {result.tip_std_mm:.1f} mm if this one is right"
         far = self._how_far(np.inf, 0.0) if np.isfinite(self._solved.tip_mm) else []
         why = "".join(f" ({text})" for text in ([self._solved.reason] if self._solved.reason else far))

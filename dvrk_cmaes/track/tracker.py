@@ -267,7 +267,7 @@ class Tracker:
         lag = known.lag
         result = unknown.step(time, readings.at(time - (0.0 if lag is None else lag.seconds)), seen, known.calibration)
         known.offer(time, readings.at(time), seen, unknown.following)
-        return known.unconfirmed(result, readings)
+        return known.unconfirmed(result)
 
     def _with_sparse_readings(self, result: TrackResult) -> TrackResult:
         """Return a result as doubtful if readings near its image are too sparse for the motion, with that reason."""

@@ -1,8 +1,8 @@
 """Following while no calibration is known: by a wide one, made from a pose of an image that was searched.
 
 A pose tells the base of an arm whose readings are known, up to its own errors and the offsets of roll and joints. Where
-nothing is read, the arm is taken to stand still, and the base to walk at random. Each mode of the searched image is
-followed in a window of its own until one remains. No pose is ok, since nothing but the images tells the base.
+nothing is read, the arm is taken to stand still, and the base to walk at random. No pose is ok, since nothing but the
+images tells the base.
 """
 
 from __future__ import annotations
@@ -10,14 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from threading import Thread
 from typing import Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.autocorrelated_errors import CORRELATED_FRAMES
 from dvrk_cmaes.calibration.blocks import BASE_AXES, OUTER_OFFSETS, Calibration
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.model import Deviations, SessionModel, offset_deviations
@@ -29,20 +28,16 @@ from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.pose.doubts import NOT_FOUND, search_running
 from dvrk_cmaes.results.parts import posed
-from dvrk_cmaes.results.result import Result, modes_of
+from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackResult, without_pose
 from dvrk_cmaes.segment.segmentation import Box
-from dvrk_cmaes.track.follower import Followed, Follower, has_moved
+from dvrk_cmaes.track.follower import Followed, Follower
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.view_segmenter import Mask, Seen
 
 _MOST_IMAGES: Final = 90  # that come during a search, after which it is given up
 _FIRST_WAIT, _MORE_WAIT = 3, 30  # images without support until the first search, and most between two of them
-_LEAST_GAP = 6.0  # of the negative log-likelihood, from which on a mode is dropped
-_CLEARLY = 3.0  # of the same, from which on another mode is believed
-_UNDECIDED = 30  # images, after which only the best mode is followed
 _USUAL_IOU = 0.85  # of a pose and its mask
-_LEAST_CHANCE = 1e-3  # of a mode that is followed
 _BASE_STD = (0.1, 1.0)  # m and rad, of a base of which nothing is known
 _OWN_ERROR = 2.0  # factor on the stated errors of a searched image, which is then followed itself
 _WALK = (0.02, 0.5, 1.0)  # m, rad about the root's x and y, about its z and of the joints, in a second without readings
@@ -96,18 +91,17 @@ class _Search:
 
 
 @dataclass(eq=False)
-class _Mode:
-    """A pose that is followed: where it was at a time, s, and the sum of the negative log-likelihoods of its fits."""
+class _Pose:
+    """A pose that is followed: where it was at a time, s, with its covariance (D, D), and what follows it.
+
+    ``reads`` is whether readings of a moving arm have stated how it moves since its base was made.
+    """
 
     time: float
     at: Posed
     covariance: Float64
-    cost: float
     following: Follower | None = None
     reads: bool = False
-    """Whether readings of a moving arm have stated how it moves since it was based on them."""
-    counted: Posed | None = None
-    """Where it was in the last image that counted; those of the same scene tell nothing new."""
 
 
 @dataclass(eq=False)
@@ -119,9 +113,8 @@ class UnknownBase:
 
     given: Followed
     background: bool
-    _modes: list[_Mode] = field(default_factory=list)
+    _pose: _Pose | None = None
     _search: _Search | None = None
-    _followed: int = 0
     _unsupported: int = 0
     _wait: int = _FIRST_WAIT
 
@@ -132,32 +125,24 @@ class UnknownBase:
 
     @property
     def following(self) -> Follower | None:
-        """The window of the best mode, at the last image; None without one."""
-        return self._modes[0].following if self._modes else None
+        """What follows the pose, at the last image; None without one."""
+        return None if self._pose is None else self._pose.following
 
     def forget(self) -> None:
         """Forget what was followed; the next image is searched."""
-        self._modes, self._search = [], None
+        self._pose, self._search = None, None
 
     def start(self, time: float, result: Result, seen: Seen | None = None, *, widened: float = 1.0) -> None:
-        """Follow the modes of a single frame's result from its time, s, on; colours are learned where it is seen.
+        """Follow the pose of a single frame's result from its time, s, on; colours are learned where it is seen.
 
         ``widened`` is a factor on the standard deviations that the result states.
         """
         assert result.covariance is not None
-        names, others = self.given.instrument.joint_names, result.alternatives
-        modes = modes_of(result, names)
-        chance = 1.0 if result.mode_probability is None else result.mode_probability
-        chances = [chance, *[(1 - chance) / max(len(others), 1)] * len(others)]
-        costs = [-math.log(max(each, _LEAST_CHANCE)) for each in chances]
-        covariance = widened**2 * result.covariance
         self.forget()
-        self._modes = [_Mode(time, at, covariance, cost) for at, cost in zip(modes, costs, strict=True)]
-        self._modes = self._modes[: self.given.config.track.modes]
-        self._followed = self._unsupported = 0
-        self._wait = _FIRST_WAIT
+        self._pose = _Pose(time, posed(result, self.given.instrument.joint_names), widened**2 * result.covariance)
+        self._unsupported, self._wait = 0, _FIRST_WAIT
         if seen is not None:
-            self.given.segmenter.learn(seen, self.given.rig.views, modes[0])
+            self.given.segmenter.learn(seen, self.given.rig.views, self._pose.at)
 
     def step(
         self, time: float, reading: ReadingAt, seen: Seen, calibration: SessionCalibration | None = None
@@ -167,7 +152,7 @@ class UnknownBase:
         A ``calibration`` that cannot be used for want of colours tells where an image is searched.
         """
         image = _Image(time, reading, seen)
-        if not self._modes and self._search is None:
+        if self._pose is None and self._search is None:
             if seen.problem is not None:
                 return without_pose(time, seen.problem)
             self._begin_search(image, calibration, first=True)
@@ -191,7 +176,7 @@ class UnknownBase:
 
     def _go_on(self, search: _Search, image: _Image) -> list[_Image]:
         """Follow what a search has found from its image on; returns the images that are followed in this step."""
-        images = [image] if self._modes else []
+        images = [] if self._pose is None else [image]
         if image.time > search.images[0].time:
             search.images.append(replace(image, seen=image.seen.copied()))
         if not search.found.done():
@@ -216,46 +201,26 @@ class UnknownBase:
         return self.given.segmenter.boxes_around(expected.at[0], calibration.corrected_views(self.given.rig.views))
 
     def _follow(self, image: _Image, calibration: SessionCalibration | None) -> TrackResult:
-        """Follow all modes to an image, and drop those that it makes improbable."""
-        results = [self._follow_mode(mode, image) for mode in self._modes]
-        self._followed += 1
-        pairs = sorted(zip(self._modes, results, strict=True), key=lambda pair: pair[0].cost)
-        best, lead = pairs[0][0].cost, self._modes[0].cost
-        if lead - best < _CLEARLY:
-            pairs = list(zip(self._modes, results, strict=True))
-        self._modes = [mode for mode, _ in pairs if mode.cost - best < _LEAST_GAP or mode is pairs[0][0]]
-        if self._followed >= _UNDECIDED:
-            del self._modes[1:]
-        result = pairs[0][1]
-        following = self._modes[0].following
-        assert following is not None
-        if not following.last.explained and image.seen.problem is None:
+        """Follow the pose to an image; where images do not support it for some time, one is searched."""
+        pose, reading, names = self._pose, image.reading, self.given.instrument.joint_names
+        assert pose is not None
+        reads = reading.has_outer and not reading.still
+        used = reading if reads else _standing(reading, pose.at)
+        if pose.following is None or not (reads and pose.reads):
+            walked = pose.covariance + _walk(max(image.time - pose.time, 0.0), len(names))
+            wide = wide_calibration(pose.at, walked, used, self.given)
+            pose.following = Follower(self.given, wide, None if reads else FoundLag(0.0, 0.0), uncertain=True)
+            pose.reads = reads
+        result = pose.following.follow(image.time, used, image.seen)
+        assert result.covariance is not None
+        pose.time, pose.at, pose.covariance = image.time, posed(result, names), result.covariance
+        if pose.following.explained:
+            self._unsupported, self._wait = 0, _FIRST_WAIT
+        elif image.seen.problem is None:
             self._unsupported += 1
             if self._unsupported >= self._wait and self._search is None:
                 self._wait = min(2 * self._wait, self._wait + _MORE_WAIT)
                 self._begin_search(image, calibration, first=False)
-        elif following.last.explained:
-            self._unsupported, self._wait = 0, _FIRST_WAIT
-        return result
-
-    def _follow_mode(self, mode: _Mode, image: _Image) -> TrackResult:
-        """Follow one mode to an image."""
-        reading, names = image.reading, self.given.instrument.joint_names
-        reads = reading.has_outer and not reading.still
-        used = reading if reads else _standing(reading, mode.at)
-        if mode.following is None or not (reads and mode.reads):
-            walked = mode.covariance + _walk(max(image.time - mode.time, 0.0), len(names))
-            wide = wide_calibration(mode.at, walked, used, self.given)
-            mode.following = Follower(self.given, wide, None if reads else FoundLag(0.0, 0.0), uncertain=True)
-            mode.reads = reads
-        result = mode.following.follow(image.time, used, image.seen)
-        assert result.covariance is not None
-        mode.time, mode.covariance = image.time, result.covariance
-        mode.at = posed(result, names)
-        anew = mode.counted is None or (has_moved(mode.counted, mode.at) and not image.seen.any_same)
-        if math.isfinite(mode.following.last.score) and anew:
-            mode.cost += mode.following.last.score / CORRELATED_FRAMES
-            mode.counted = mode.at
         if reads:
             return result
         read = dict(zip(names, reading.joints.tolist(), strict=True))

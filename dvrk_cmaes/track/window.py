@@ -144,7 +144,13 @@ class FitEvidence:
 
     @classmethod
     def of(
-        cls, fit: FrameFit | EdgeFit | None, predicted: Posed, spread: Float64, *, inflation: float = 1.0, holds: bool
+        cls,
+        fit: FrameFit | EdgeFit | None,
+        predicted: Posed,
+        spread: Float64,
+        *,
+        inflation: float = 1.0,
+        holds: bool = True,
     ) -> FitEvidence:
         """Weigh a fit by how it agrees with the prediction, whose covariance is ``spread`` (D, D).
 

@@ -12,7 +12,6 @@ from helpers.moving_worlds import MovingWorld, moving_world
 from helpers.transforms import moved
 
 from dvrk_cmaes import EstimateConfig, InputError, Result, Tracker, TrackResult, estimate
-from dvrk_cmaes.results.result import Alternative
 from dvrk_cmaes.synth.truth import exact_mask
 
 
@@ -92,20 +91,6 @@ def test_lag_that_is_given_is_that_of_the_readings(world: MovingWorld, first: Re
         assert world.error_mm(k, result) == pytest.approx(world.error_mm(k, expected), abs=1e-3)
     assert late.lag is not None
     assert late.lag.seconds == 0.1
-
-
-# modes
-
-
-def test_mode_that_explains_the_images_better_remains(world: MovingWorld, first: Result) -> None:
-    """The first mode has the wrist bent the other way; the second is the true one."""
-    truth = world.truths[0]
-    right = Alternative(truth.camera_from_root, truth.joints, 0.1, 0.95, "other mode")
-    bent = {name: value + (0.5 if name.startswith("wrist") else 0.0) for name, value in truth.joints.items()}
-    known = np.diag([1e-4] * 3 + [5e-3] * 6) ** 2
-    start = replace(first, joints=bent, covariance=known, alternatives=(right,))
-    followed = world.follow(started(world, start), frames=range(1, 12))
-    assert world.error_mm(11, followed[-1]) < 0.5
 
 
 # losses and recovery
