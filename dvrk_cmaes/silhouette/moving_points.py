@@ -46,12 +46,6 @@ class MovingPoints:
     pixels: Float64
     jacobian: Float64
 
-    @staticmethod
-    def joined(groups: Sequence[MovingPoints]) -> MovingPoints:
-        """Return the points of several groups, one after another."""
-        depth, pixels = (np.concatenate([getattr(group, name) for group in groups]) for name in ("depth", "pixels"))
-        return MovingPoints(depth, pixels, np.concatenate([group.jacobian for group in groups]))
-
 
 def moving_points(
     instrument: Instrument, camera: Camera, fixed: Sequence[FixedPoints], at: Posed

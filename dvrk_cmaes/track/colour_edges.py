@@ -25,6 +25,7 @@ from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.outline_term import Derivatives, OutlineTerm
 from dvrk_cmaes.pose.terms.readings_term import ReadingsTerm
 from dvrk_cmaes.pose.terms.term import Quadratic
+from dvrk_cmaes.silhouette.moving_points import MovingPoints
 from dvrk_cmaes.track.histogram_ratio import REACH, ColourModel, EdgeModel, bins_of, changes_along
 from dvrk_cmaes.track.outlines import MOST_CLEARANCE, DrawnOutline, OutlineModel
 
@@ -223,14 +224,14 @@ def _refined(image: Image, pixels: Float64, normals: Float64, place: Float32) ->
 
 
 class ColourEdges(OutlineTerm[tuple[Float64, Float64, Float64]]):
-    """The distances of an outline, drawn once, from the edges that the colours of images show: a sum of squares.
+    """The distances of outlines, drawn once, from the edges that the colours of images show: a sum of squares.
 
     Parameters
     ----------
     model
         Draws outlines, and moves their points.
     drawn
-        The outline.
+        The outlines, of different views.
     images
         The images, by index of the view.
     reach
@@ -244,18 +245,18 @@ class ColourEdges(OutlineTerm[tuple[Float64, Float64, Float64]]):
     def __init__(
         self,
         model: OutlineModel,
-        drawn: DrawnOutline,
+        drawn: Sequence[DrawnOutline],
         images: Mapping[int, ImageEvidence],
         reach: float,
         covariance: Float64,
     ) -> None:
         self._model, self._drawn, self._images, self._reach = model, drawn, images, reach
-        self._covariance = covariance
+        self._covariance, self._lengths = covariance, np.concatenate([outline.lengths for outline in drawn])
 
     def draw(
         self, at: Posed, *, derivatives: Derivatives | None = "closed-form"
     ) -> list[tuple[Float64, Float64, Float64]]:
-        """Measure the outline's points at C poses: motion (N, D), distances (N,), px, and weights (N,) of each."""
+        """Measure the outlines' points at C poses: motion (N, D), distances (N,), px, and weights (N,) of each."""
         return [self._measured(at[k]) for k in range(len(at))]
 
     def cost_of(self, drawn: tuple[Float64, Float64, Float64]) -> float:
@@ -271,34 +272,39 @@ class ColourEdges(OutlineTerm[tuple[Float64, Float64, Float64]]):
 
     def fit(self, at: Posed) -> EdgeFit | None:
         """Measure how the images support a pose; None if it is behind the camera."""
-        moving, lengths = self._model.move(self._drawn, at), self._drawn.lengths
+        moving, lengths = self._moving(at), self._lengths
         if moving is None:
             return None
-        edges, near = self._edges(moving.pixels), self.near(self.draw(at[None]), at[None])
+        edges, near = self._edges(moving), self.near(self.draw(at[None]), at[None])
         close = edges.found & (np.abs(edges.distance) < _SUPPORT_PX)
-        now, views = self._drawn.split(moving.pixels), self._drawn.by_view
-        beside = [self._images[view].unexplained(now[view], outline) for view, outline in views.items()]
+        pairs = zip(self._drawn, moving, strict=True)
+        beside = [self._images[outline.view].unexplained(now.pixels, outline) for outline, now in pairs]
         sigma = NORMAL_MEDIAN * median(np.abs(edges.distance[close])) if close.any() else None
         supported = float(lengths[close].sum() / lengths.sum())
         information, slope = near.information[0], near.slope[0]
         return EdgeFit(at, information, slope, supported, float(np.mean(beside)), sigma)
 
     def _measured(self, at: Posed) -> tuple[Float64, Float64, Float64]:
-        """Return the motion (N, D) of the outline's points at a pose, their distances (N,), px, and weights (N,)."""
-        moving, lengths = self._model.move(self._drawn, at), self._drawn.lengths
+        """Return the motion (N, D) of the outlines' points at a pose, their distances (N,), px, and weights (N,)."""
+        moving, lengths = self._moving(at), self._lengths
         if moving is None:
             return np.zeros((len(lengths), len(self._covariance))), np.zeros(len(lengths)), np.zeros(len(lengths))
-        edges = self._edges(moving.pixels)
-        expected = np.einsum("ni,ij,nj->n", moving.jacobian, self._covariance, moving.jacobian)
+        edges, jacobian = self._edges(moving), np.concatenate([now.jacobian for now in moving])
+        expected = np.einsum("ni,ij,nj->n", jacobian, self._covariance, jacobian)
         width = _OUTLIER**2 * (_SIGMA_PX**2 + np.minimum(expected, self._reach**2))
         weights = lengths * edges.found / (_SIGMA_PX**2 + edges.variance)
         weights /= _CORRELATION_PX * (1 + edges.distance**2 / width) ** 2
-        return moving.jacobian, edges.distance, weights
+        return jacobian, edges.distance, weights
 
-    def _edges(self, pixels: Float64) -> EdgeDistances:
-        """Measure the distances of all points, at ``pixels`` (N, 2), in their views."""
-        now, views = self._drawn.split(pixels), self._drawn.by_view
-        parts = [self._images[view].distances(now[view], drawn, self._reach) for view, drawn in views.items()]
+    def _moving(self, at: Posed) -> list[MovingPoints] | None:
+        """Return the outlines' points at a pose; None if one of them is not in front of its camera."""
+        moved = [self._model.move(outline, at) for outline in self._drawn]
+        return None if any(now is None for now in moved) else [now for now in moved if now is not None]
+
+    def _edges(self, moving: Sequence[MovingPoints]) -> EdgeDistances:
+        """Measure the distances of all points in their views."""
+        pairs = zip(self._drawn, moving, strict=True)
+        parts = [self._images[outline.view].distances(now.pixels, outline, self._reach) for outline, now in pairs]
         return EdgeDistances(*map(np.concatenate, zip(*parts, strict=True)))
 
 
@@ -361,8 +367,8 @@ def fit_edges(
     at, covariance = start, np.asarray(np.linalg.inv(expected.information))
     limits = ReadingsTerm(Readings.none(model.instrument))
     for reach, steps in _FAR if far else _NEAR:
-        drawn = model.draw(at, tuple(images))
-        if drawn is None:
+        drawn = [outline for view in images if (outline := model.draw(at, view)) is not None]
+        if not drawn:
             return None
         term = ColourEdges(model, drawn, images, reach, covariance)
         (fit,) = refine(term, (expected, limits), at[None], Steps(steps, tested="none"))

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from itertools import accumulate, pairwise
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.geometry import Float32, Float64, Indices, Posed
@@ -47,53 +44,23 @@ def clearance_of(pixels: Float64, normals: Float64) -> Float32:
 
 @dataclass(frozen=True, eq=False)
 class DrawnOutline:
-    """N points on the outlines of an instrument, fixed on it, each view's after another's.
+    """N points on the outline of an instrument in one view of a rig, whose index is ``view``, fixed on the instrument.
 
     link : (N,) index of the link. points : (N, 3) m, in the link's frame. normals : (N, 2) unit vectors in the image,
     out of the silhouette. lengths : (N,) px of outline that each represents. pixels : (N, 2) where they were drawn.
-
-    ``views`` are the indices of the views that were drawn, ``at`` where the instrument was then, in the reference
-    camera. ``parts`` are the points of each of those views in which enough of the instrument is seen, at least one.
     """
 
-    views: tuple[int, ...]
-    at: Posed
-    parts: Mapping[int, slice]
+    view: int
     link: Indices
     points: Float64
     normals: Float64
     lengths: Float64
     pixels: Float64
 
-    @staticmethod
-    def joined(views: tuple[int, ...], drawn: Sequence[DrawnOutline]) -> DrawnOutline:
-        """Return the outlines that were ``drawn`` in single views as one; ``views`` are all that were to be drawn."""
-        ends = list(accumulate((len(outline.points) for outline in drawn), initial=0))
-        parts = {outline.views[0]: slice(*pair) for outline, pair in zip(drawn, pairwise(ends), strict=True)}
-        arrays = [outline._arrays(slice(None)) for outline in drawn]
-        of_all: dict[str, Any] = {name: np.concatenate([own[name] for own in arrays]) for name in arrays[0]}
-        return replace(drawn[0], views=views, parts=parts, **of_all)
-
-    def _arrays(self, part: slice) -> dict[str, Any]:
-        """Return the arrays of a part of the points, by name."""
-        return {name: getattr(self, name)[part] for name in ("link", "points", "normals", "lengths", "pixels")}
-
-    @cached_property
-    def by_view(self) -> dict[int, DrawnOutline]:
-        """The outline in each view, by itself."""
-        return {
-            view: replace(self, views=(view,), parts={view: slice(None)}, **self._arrays(part))
-            for view, part in self.parts.items()
-        }
-
     @cached_property
     def clearance(self) -> Float32:
-        """Lengths (2, N), px, of lines along the normals of an outline in one view, in the silhouette and beside it."""
+        """Lengths (2, N), px, of lines along the normals of the outline, in the silhouette and beside it."""
         return clearance_of(self.pixels, self.normals)
-
-    def split(self, values: NDArray[Any]) -> dict[int, NDArray[Any]]:
-        """Return values (N, ...) of the points by view."""
-        return {view: values[part] for view, part in self.parts.items()}
 
 
 _DRAWN_WIDTH = 640  # px; larger outlines are drawn about this wide, since their points are as exact
@@ -113,12 +80,7 @@ class OutlineModel:
         self._renderers = [Renderer(body, _reduced(view.camera), threads=1) for view in rig.views]
         self._points = points
 
-    def draw(self, at: Posed, views: tuple[int, ...]) -> DrawnOutline | None:
-        """Find the outlines of a pose in some views; None where too little of the instrument is in any of them."""
-        drawn = [outline for view in views if (outline := self._drawn_in(view, at)) is not None]
-        return DrawnOutline.joined(views, drawn) if drawn else None
-
-    def _drawn_in(self, view: int, at: Posed) -> DrawnOutline | None:
+    def draw(self, at: Posed, view: int) -> DrawnOutline | None:
         """Find the outline of a pose in one view; None where too little of it is in the image."""
         camera, renderer, seen = self.rig.views[view].camera, self._renderers[view], self._seen(view, at)
         (outline,) = renderer.outlines(seen.pose[None], seen.joints[None])
@@ -135,9 +97,7 @@ class OutlineModel:
         chosen = index[np.linspace(0, len(index) - 1, count).astype(np.intp)]
         length = lengths[chosen]
         return DrawnOutline(
-            views=(view,),
-            at=at,
-            parts={view: slice(None)},
+            view=view,
             link=outline.link[chosen].astype(np.intp),
             points=outline.points[chosen],
             normals=outline.normals[chosen] / length[:, None],
@@ -150,12 +110,8 @@ class OutlineModel:
 
         The pose's small changes are in the root's axes, which all views have in common.
         """
-        of_views = []
-        for view, drawn in outline.by_view.items():
-            seen = self._seen(view, at)
-            here = Posed(seen.pose[None], seen.joints[None])
-            of_views += moving_points(self.instrument, self.rig.views[view].camera, [drawn], here)
-        moving = MovingPoints.joined(of_views)
+        seen, camera = self._seen(outline.view, at), self.rig.views[outline.view].camera
+        (moving,) = moving_points(self.instrument, camera, [outline], Posed(seen.pose[None], seen.joints[None]))
         return None if moving.depth.min() < NEAREST else moving
 
     def _seen(self, view: int, at: Posed) -> Posed:

@@ -292,7 +292,7 @@ class ViewSegmenter:
             image, ignored, before = seen.images[view], seen.ignored[view], self._looks[view]
             if image is None:
                 continue
-            drawn = self._outlines.draw(at, (view,))
+            drawn = self._outlines.draw(at, view)
             colours = learned_colours(image, silhouette_of(at, views[view], self._body), ignored)
             if drawn is None or colours is None:
                 continue

@@ -42,8 +42,7 @@ def outline_of(left: float, right: float) -> DrawnOutline:
     pixels = np.concatenate([np.stack([np.full(60, u), rows], axis=1) for u in (left, right)])
     normals = np.repeat([[-1.0, 0.0], [1.0, 0.0]], 60, axis=0)
     zero = np.zeros(120, np.intp)
-    at, points, lengths = Posed(np.eye(4), np.zeros(3)), np.zeros((120, 3)), np.ones(120)
-    return DrawnOutline((0,), at, {0: slice(None)}, zero, points, normals, lengths, pixels)
+    return DrawnOutline(0, zero, np.zeros((120, 3)), normals, np.ones(120), pixels)
 
 
 def model_of(left: float = 60, right: float = 100) -> EdgeAppearance:
@@ -112,7 +111,7 @@ def shown() -> tuple[OutlineModel, dict[int, ImageEvidence], Posed]:
     at = Posed(truth.camera_from_root, truth.values)
     image = draw_image(world.camera, truth, np.random.default_rng(5))
     model = OutlineModel(world.body, Rig.of(world.camera), TrackConfig().points)
-    drawn = model.draw(at, (0,))
+    drawn = model.draw(at, 0)
     assert drawn is not None
     return model, {0: ImageEvidence(image, learned(image, drawn.pixels, drawn))}, at
 
@@ -132,9 +131,9 @@ def test_slope_of_the_edges_is_the_difference_of_their_cost(
     """The weights of edges that are found change with the pose, which the approximation leaves out."""
     model, images, at = shown
     off = at.moved(np.array([3e-4, 0, 0, 0, 0, 0, 0, 0, 0]))
-    drawn = model.draw(off, (0,))
+    drawn = model.draw(off, 0)
     assert drawn is not None
-    term = ColourEdges(model, drawn, images, 12.0, np.eye(9))
+    term = ColourEdges(model, [drawn], images, 12.0, np.eye(9))
     step = 2e-4 * np.eye(9)[0]
     difference = float((term.cost(off.moved(step)[None]) - term.cost(off.moved(-step)[None]))[0]) / 4e-4
     assert difference == pytest.approx(2 * float(term.local(off[None]).slope[0, 0]), rel=0.4)
@@ -144,7 +143,7 @@ def test_slope_of_the_edges_is_the_difference_of_their_cost(
 def pixels_off(shown: tuple[OutlineModel, dict[int, ImageEvidence], Posed], at: Posed) -> float:
     """Return how far the true outline moves across itself to another pose, px (median)."""
     model, _, truth = shown
-    drawn = model.draw(truth, (0,))
+    drawn = model.draw(truth, 0)
     assert drawn is not None
     there, here = model.move(drawn, truth), model.move(drawn, at)
     assert there is not None
