@@ -122,7 +122,8 @@ class Offsets(PredictedBlock):
 class ViewAsSeen:
     """How a view is taken to see the instrument: its ``camera``, ``place`` (4, 4), m, and mask's ``margin``, px.
 
-    ``size`` is the width of its images in that of the reference camera's, ``scale`` the factor on the instrument.
+    ``size`` is the width of its images in that of the reference camera's, ``scale`` the factor on the instrument,
+    and ``sides`` by how much the mask lies outwards of both sides of the shaft, px; empty where it does not.
     """
 
     camera: Camera
@@ -130,6 +131,7 @@ class ViewAsSeen:
     margin: float
     size: float
     scale: float = 1.0
+    sides: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -49,7 +49,7 @@ _OF_LENS: Final = [PARAMETERS.index("aspect"), PARAMETERS.index("radial")]
 _LENS_CAUSES: Final = "images that were stretched, --rectified with raw images or left out, or the file of another lens"
 _WEAK_STD = np.array([0.3, 300.0, 300.0])  # of the change where it is estimated from the frames: relative, and px
 PLAUSIBLE = 2.0  # of these; linearised farther away, outlines leave the image
-_PASSES = 6  # largest number of linearisations of the outlines
+_PASSES, _FILE_PASSES = 6, 3  # largest numbers of linearisations of the outlines, also where the file is a measurement
 _STEPS = 10  # largest number of Gauss-Newton steps between two estimates of the variances
 _LEAST_FRAMES, _MANY_FRAMES = 6, 10
 _LEAST_INSERTION = 5e-3  # m, range of the readings
@@ -359,12 +359,21 @@ def check_camera(
         found = estimate_camera(arms, config, passes=passes)
         if far := passes > 1 and not all(one.plausible for one in found):
             found = estimate_camera(arms, config, passes=1)
-        # the bias of masks is that at the camera of the file
-        first = found if far or passes == 1 else estimate_camera(arms, config, passes=1)
+        first = found if reason == _NOT_ASKED or applied is not None else _at_file(arms, config)
     except InputError as error:
         return [CameraCheck(None, f"camera: {error}", np.zeros((arm.calibration.alone().own,) * 2)) for arm in arms]
     each = zip(found, first, arms, strict=True)
     return [_checked(last, near, arm.outlines, config, reason, applied, far=far) for last, near, arm in each]
+
+
+def _at_file(arms: Sequence[ArmOutlines], config: EstimateConfig) -> list[Linearised]:
+    """Estimate sizes of the instrument and errors of the masks where the camera's file is a measurement of it."""
+    file = CameraChange(file_deviations(arms[0].outlines.camera, config.camera))
+    blocks = [tuple(file if one.name == CAMERA else one for one in arm.outlines.blocks) for arm in arms]
+    seen = [replace(arm.outlines, blocks=own) for arm, own in zip(arms, blocks, strict=True)]
+    solver = partial(solve_with_variances, config=config.session, steps=_STEPS)
+    given = [arm._replace(outlines=own) for arm, own in zip(arms, seen, strict=True)]
+    return linearise(given, solver, [SIZES, BIAS], passes=_FILE_PASSES)
 
 
 def _checked(
@@ -379,7 +388,7 @@ def _checked(
 ) -> CameraCheck:
     """Judge an estimate; ``reason`` is why the camera is not tested, ``far`` whether an estimate was not plausible.
 
-    ``first`` is the estimate of one linearisation, at the camera with which the frames were fitted.
+    ``first`` is the estimate where the camera's file is a measurement of it.
     """
     calibration, file = there.solution.calibration, file_deviations(outlines.camera, config.camera)
     own, count = calibration.place(CAMERA), calibration.own
@@ -389,11 +398,11 @@ def _checked(
         if isinstance(block, MaskBias):
             known[SIZES] = usual_sizes(config.camera)
             priors = known if applied is None else {SIZES: known[SIZES]}
-            bias = estimate_bias(there, block, priors)
-            change, covariance = bias.values[own], bias.covariance[own, own]
-            bias = replace(estimate_bias(first, block, priors), of_frames=bias.of_frames)
+            beside = estimate_bias(there, block, priors)
+            change, covariance = beside.values[own], beside.covariance[own, own]
+            bias = estimate_bias(first, block, priors)
             known[BIAS] = bias.std_px
-            shaft = SessionShaft.of(there, known)
+            shaft = SessionShaft.of(first, known)
     blocks, of_blocks = _stated(there, outlines.blocks, known, config.session.shared_errors)
     covariance = config.session.shared_errors**2 * covariance
     change = change if applied is None else applied

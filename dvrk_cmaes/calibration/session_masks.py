@@ -96,13 +96,17 @@ class MaskBias(SeenBlock):
         The margin that was taken off the masks, px.
     """
 
-    is_linear = True
+    is_linear = (False,) * SIDES + (True,) * (MEAN_ERRORS - 1 - SIDES)
 
     def __init__(self, side_px: float = 0.0, margin_px: float = 0.0) -> None:
         super().__init__(BIAS, np.full(MEAN_ERRORS - 1, _BIAS_STD))
         size = np.linalg.norm([_LEAST, side_px, _OF_MARGIN * margin_px])
         self.margin_px = margin_px
         self.usual_px = float(np.clip(size, _SIZES[0], _SIZES[-1]))
+
+    def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
+        """Return a view whose mask has the errors of the shaft's sides."""
+        return replace(by, sides=tuple(values[:SIDES].tolist()))
 
     def effect(self, outline: OutlineOfView) -> Float64:
         """Return the displacements of an outline's points by the errors."""
