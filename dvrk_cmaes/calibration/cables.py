@@ -5,6 +5,9 @@ Models of these errors, from one offset a joint to coupling, play and wander, ar
 observations with the priors of `joints.cable_prior`. A larger model is only used where it is more likely than one
 offset by a margin; otherwise nothing is corrected. Each frame is corrected by what all other frames tell of it.
 
+Frames are fitted with the corrections of the round before as a prior, and favour the model that these have. So the
+margin only holds in the last round; before, frames are fitted with the most likely model.
+
 The parameters are not unknowns of the session's linearised problem, as its other constants are: the choice between the
 models needs the likelihood of each, which the filters give with the parameters, and wander differs from frame to frame.
 As such unknowns, those of a chosen model find the same base, and predict frames that are left out hardly better.
@@ -50,10 +53,11 @@ _MODELS: Final[tuple[tuple[Part, ...], ...]] = (
     ("coupling", "play"),
     ("coupling", "play", "wander"),
 )
-_MARGIN: Final = 4.0  # nats by which a larger model must be more likely than one offset a joint
 _NOISES: Final = (2.0, 1.2, 0.7, 0.4, 0.2, 0.1)  # trial factors on the standard deviations from frame to frame,
 _WANDERS: Final = (0.5, 2.0)  # and, beside 1, on those of the wander
 _WIDENINGS: Final = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 10.0)  # trial factors on the variances of predictions
+MARGIN: Final = 4.0
+"""Nats by which a larger model must be more likely than one offset a joint, for frames fitted with the larger one."""
 _ORDERED: Final = {"play", "wander"}
 """Parts that need the order of the frames in time."""
 
@@ -124,6 +128,7 @@ def estimate_cables(
     lag: SessionLag,
     usual: Deviations,
     offset_std: Float64,
+    margin: float,
 ) -> tuple[CableFit, CableFit]:
     """Fit the cables of a session; returns the fits of `fit_cables`.
 
@@ -137,6 +142,8 @@ def estimate_cables(
         Standard deviations of readings from frame to frame without corrections.
     offset_std : (1 + J,)
         Standard deviations of the offsets of roll and the instrument's joints beforehand, rad.
+    margin
+        As in `fit_cables`.
     """
     names, times = ("roll", *model.names), lag.seconds()
     weights = solution.weights if times is None else solution.weights / frames_alike(times, _ALIKE_SECONDS)
@@ -145,7 +152,7 @@ def estimate_cables(
     play, offsets = lag.play(names, readings, prior.model.width), solution.calibration.offsets[1:]
     noise = np.concatenate([usual.outer[_ROLL:], usual.joints])
     seen = CableSession(names, readings, times, play, information, vector, offsets, offset_std, noise)
-    return fit_cables(seen, prior)
+    return fit_cables(seen, prior, margin)
 
 
 def observe_errors(
@@ -173,8 +180,8 @@ def observe_errors(
     return (information + np.swapaxes(information, 1, 2)) / 2, -seen[:, :, -1] * read
 
 
-def fit_cables(session: CableSession, prior: CablePrior) -> tuple[CableFit, CableFit]:
-    """Fit all models, and return the most likely one; one offset a joint unless another is more likely by a margin.
+def fit_cables(session: CableSession, prior: CablePrior, margin: float = MARGIN) -> tuple[CableFit, CableFit]:
+    """Fit all models, and return the most likely one; one offset a joint unless another is by ``margin`` nats more so.
 
     The second one is the most likely of those that need nothing but the reading of a frame itself.
     """
@@ -183,7 +190,7 @@ def fit_cables(session: CableSession, prior: CablePrior) -> tuple[CableFit, Cabl
 
     def most_likely(among: list[_TrialFit]) -> CableFit:
         best = max(among, key=lambda fit: fit.likelihood)
-        return (best if best.likelihood > least + _MARGIN else among[0]).described(session, least)
+        return (best if best.likelihood > least + margin else among[0]).described(session, least)
 
     return most_likely(fits), most_likely([fit for fit in fits if not _ORDERED & {*fit.parts}])
 

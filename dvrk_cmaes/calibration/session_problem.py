@@ -16,7 +16,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.autocorrelated_errors import CommonErrors, frames_alike
 from dvrk_cmaes.calibration.blocks import Calibration, SeenBlock
-from dvrk_cmaes.calibration.cables import CableFit, estimate_cables
+from dvrk_cmaes.calibration.cables import MARGIN, CableFit, estimate_cables
 from dvrk_cmaes.calibration.consensus import (
     Consensus,
     Mode,
@@ -406,7 +406,7 @@ def _round(arms: Arms, scale: float, *, last: bool) -> Arms:
     """
     fitted = [_fitted_in(arm, scale, last=last) for arm in arms]
     try:
-        return _estimated(fitted, keep_all=scale != 1.0)
+        return _estimated(fitted, keep_all=scale != 1.0, last=last)
     except InputError as error:
         if arms[0].setup.refine_camera and arms[0].of_change is not None:
             raise arms[0].camera_refused(IMPLAUSIBLE) from error
@@ -446,10 +446,11 @@ def _fitted(
     return replace(arm, fits=tuple(fits[i] for i in range(len(arm.frames))))
 
 
-def _estimated(arms: Arms, *, keep_all: bool) -> Arms:
+def _estimated(arms: Arms, *, keep_all: bool, last: bool) -> Arms:
     """Estimate base, offsets, variances, cables and lag of all arms from the current fits.
 
-    ``keep_all`` is whether fits that do not explain the mask count as well. `InputError` if too few do.
+    ``keep_all`` is whether fits that do not explain the mask count as well. Cables must be more likely by a margin in
+    the ``last`` round. `InputError` if too few fits count.
     """
     if not keep_all:
         for arm in arms:
@@ -457,7 +458,7 @@ def _estimated(arms: Arms, *, keep_all: bool) -> Arms:
     fits = [arm.outlines(keep_all=keep_all) for arm in arms]
     arms = [replace(arm, start=None, moved=None) for arm in _with_variances(arms, fits)]
     if not keep_all and arms[0].setup.config.session.cables:
-        arms = [_with_cables(arm, own) for arm, own in zip(arms, fits, strict=True)]
+        arms = [_with_cables(arm, own, MARGIN if last else 0.0) for arm, own in zip(arms, fits, strict=True)]
         if any(arm.cables is not None and arm.cables[0].parts for arm in arms):
             arms = _with_variances(arms, fits)
     return _with_refined_lags(arms, fits)
@@ -475,10 +476,10 @@ def _with_variances(arms: Arms, fits: Sequence[FrameFits]) -> Arms:
     return [replace(arm, model=model, found=own) for arm, model, own in each]
 
 
-def _with_cables(arm: ArmSession, fits: FrameFits) -> ArmSession:
+def _with_cables(arm: ArmSession, fits: FrameFits, margin: float) -> ArmSession:
     """Fit what cables do to the readings, beside the blocks: `cables` says why."""
     usual, std = Deviations.of(arm.setup.config.session, arm.model.names), arm.model.offset_std[1:]
-    cables = estimate_cables(arm.model, fits, arm.solution, arm.lag, usual, std)
+    cables = estimate_cables(arm.model, fits, arm.solution, arm.lag, usual, std, margin)
     own = cables[0].deviations(arm.model.deviations)
     model = replace(arm.model, correction=cables[0].correction, deviations=own)
     return replace(arm, cables=cables, model=model)

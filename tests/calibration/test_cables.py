@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dvrk_cmaes.calibration.cables import CableFit, CablesAlone, CableSession, SessionCables, fit_cables
+from dvrk_cmaes.calibration.cables import MARGIN, CableFit, CablesAlone, CableSession, SessionCables, fit_cables
 from dvrk_cmaes.joints.cable_prior import cable_prior, measured_cables
 from dvrk_cmaes.joints.play import play_of
 
@@ -90,6 +90,18 @@ def test_independent_noise_in_unordered_frames_keeps_one_offset() -> None:
     errors = np.deg2rad(3.0) * rng.standard_normal((40, 4))
     fit, _ = fit_cables(session(rng.uniform(-0.8, 0.8, (40, 4)), errors, rng, ordered=False), PRIOR)
     assert fit.parts == ()
+
+
+def test_frames_that_hardly_show_cables_have_their_correction_only_before_the_margin_holds(
+    pulled: tuple[CableSession, np.ndarray, CableFit],
+) -> None:
+    made, errors, _ = pulled
+    weak = replace(made, information=made.information / 700, vector=made.vector / 700)
+    most_likely, fit = fit_cables(weak, PRIOR, 0.0)[0], fit_cables(weak, PRIOR)[0]
+    assert 0 < most_likely.gain < MARGIN
+    assert (left_of(errors, most_likely)[1:3] < np.std(errors, axis=0)[1:3]).all()
+    assert fit.parts == ()
+    assert not fit.correction.values.any()
 
 
 def in_words(made: CableSession) -> list[str]:
