@@ -216,8 +216,9 @@ def estimate(
     """
     given.check(segmented=(prompts, model) == (PromptOptions(), SegmentOptions()))
     from dvrk_cmaes.estimation.one_tool import FrameMethod
+    from dvrk_cmaes.frames.frame import read_frame
     from dvrk_cmaes.results.paths import mask_path, overlay_path, result_path
-    from dvrk_cmaes.runs.frame import read_any_frame, run_frame
+    from dvrk_cmaes.runs.frame import run_frame
     from dvrk_cmaes.segment.segmentation import hints_within
 
     settings = method.resolve()
@@ -228,7 +229,7 @@ def estimate(
         kinds = (result_path, overlay_path, *(() if given.mask is not None else (mask_path,)))
         check_files(out, "estimate", [path(Path(), files.name).as_posix() for path in kinds])
     camera_file = camera.read(files)
-    data = read_any_frame(files, camera_file.rig)
+    data = read_frame(files, camera_file.rig)
     body = instrument.load()
     if not given.joints:
         note(f"no --joints, as with --joints none: {TWIN}")

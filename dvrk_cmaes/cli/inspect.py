@@ -30,8 +30,8 @@ def inspect(
 ) -> int:
     """Print what each file is taken for, what is read from it, and the rules that were applied to ambiguous content.
 
-    Files of cameras, joint readings, masks, images, jaw tips, URDFs, meshes, the dVRK's tools and kinematics, videos
-    and results; folders of sessions and of results; the topics of a ROS recording. A folder of frames in the published
+    Files of cameras, joint readings, masks, images, jaw tips, URDFs, videos and results; folders of sessions and of
+    results; the topics of a ROS recording. A folder of frames in the published
     layout is read with the camera of --camera. Masks and images of folders are opened. Exit codes: 0 ok, 2 a file
     could not be read, 3 some of a folder's masks or images would be refused.
 

@@ -1,7 +1,7 @@
 """The files of one frame and their content: mask, readings and, where there are any, image and ignored pixels.
 
-`FrameFiles` has the paths, `FrameData` the content. `read_frame` reads a frame with a mask, `read_frame_image` one that
-has only an image; both check that the sizes of the files fit each other and the camera.
+`FrameFiles` has the paths, `FrameData` the content. `read_frame` reads a frame by its masks, or by its images alone,
+and checks that the sizes of the files fit each other and the camera.
 """
 
 from __future__ import annotations
@@ -177,9 +177,11 @@ class FrameData:
 
 
 def read_frame(files: FrameFiles, camera: Camera | Rig, *, blank: bool = False) -> FrameData:
-    """Read a frame taken by a camera or a rig; the intrinsics are rescaled if a mask is of another size.
+    """Read a frame taken by a camera or a rig; the intrinsics are rescaled if a mask or an image is of another size.
 
-    With ``blank``, the mask may be empty or full. Of a rig, some masks may be missing or empty, but not all.
+    A frame without a mask is read with its images alone, in which masks are to be found: its views have none yet. With
+    ``blank``, the mask may be empty or full. Of a rig, some masks may be missing or empty, but not all; of images, only
+    the reference view must have one.
 
     Parameters
     ----------
@@ -193,42 +195,24 @@ def read_frame(files: FrameFiles, camera: Camera | Rig, *, blank: bool = False) 
     Raises
     ------
     InputError
-        A file that cannot be read, or of a size that does not fit the others: names the file. No mask.
+        A file that cannot be read, or of a size that does not fit the others: names the file. Neither mask nor image.
     """
-    rig, of_views = _views(files, camera)
-    if not any(own.mask is not None for own in of_views.values()):
-        raise InputError(f"frame {files.name}: expected a mask, got {files.image or 'neither mask nor image'}")
-    several = len(rig.views) > 1
-    read = [_read_view(of_views[view.name], view, masked=True, blank=blank or several) for view in rig.views]
-    views = tuple(view for view, _ in read)
-    if several and not any(view.mask.any() for view in views):
-        masks = ", ".join(str(own.mask) for own in of_views.values() if own.mask is not None)
-        raise InputError(f"{masks}: mask is empty: expected the instrument in at least one view, got none")
-    main = read[0][1]
-    others = (f"view {view.name}: {note}" for view, notes in read[1:] for note in notes if note not in main)
-    return FrameData(views, (*main, *others))
-
-
-def read_frame_image(files: FrameFiles, camera: Camera | Rig) -> FrameData:
-    """Read a frame whose masks are to be found in its images; the intrinsics are rescaled to the images' sizes.
-
-    The masks are not given yet. Of a rig, only the reference view must have an image. Errors as `read_frame`.
-    """
-    rig, of_views = _views(files, camera)
-    if not files.has_image:
-        expected = f"masks, or an image of the view {rig.names[0]}" if len(rig.views) > 1 else "a mask"
-        neither = "neither" if len(rig.views) > 1 else "neither mask nor image"
-        raise InputError(f"frame {files.name}: expected {expected}, got {neither}")
-    read = [_read_view(of_views[view.name], view, masked=False, blank=False) for view in rig.views]
-    return FrameData(tuple(view for view, _ in read), read[0][1])
-
-
-def _views(files: FrameFiles, camera: Camera | Rig) -> tuple[Rig, dict[str, FrameFiles]]:
-    """Return the rig and the files of its views; InputError for a frame that cannot be used."""
     if files.problem is not None:
         raise InputError(files.problem)
     rig = Rig.of(camera)
-    return rig, files.of_views(rig)
+    of_views, several = files.of_views(rig), len(rig.views) > 1
+    masks = [own.mask for own in of_views.values() if own.mask is not None]
+    if not masks and not files.has_image:
+        expected, got = ("masks", f"an image of the view {rig.names[0]}") if several else ("a mask", "an image")
+        raise InputError(f"frame {files.name}: expected {expected}, or {got}, got neither")
+    read = [_read_view(of_views[view.name], view, masked=bool(masks), blank=blank or several) for view in rig.views]
+    views = tuple(view for view, _ in read)
+    if masks and several and not any(view.mask.any() for view in views):
+        paths = ", ".join(map(str, masks))
+        raise InputError(f"{paths}: mask is empty: expected the instrument in at least one view, got none")
+    main = read[0][1]
+    others = (f"view {view.name}: {note}" for view, notes in read[1:] for note in notes if note not in main)
+    return FrameData(views, (*main, *others))
 
 
 def _read_view(files: FrameFiles, view: View, *, masked: bool, blank: bool) -> tuple[SeenView, tuple[str, ...]]:

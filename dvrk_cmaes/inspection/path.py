@@ -22,10 +22,9 @@ from dvrk_cmaes.camera.document import is_camera, unwrapped
 from dvrk_cmaes.camera.fields import Side
 from dvrk_cmaes.camera.files import read_intrinsics
 from dvrk_cmaes.camera.rig import Rig
-from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.coco_mask import frames_of
-from dvrk_cmaes.frames.frame import FrameFiles, read_frame, read_frame_image
+from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.images import read_ignore, read_image, read_mask
 from dvrk_cmaes.frames.keypoints import read_boxes, read_keypoints
 from dvrk_cmaes.frames.markers import read_detections
@@ -34,12 +33,10 @@ from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.frames.session_toml import ToolEntry, read_session_toml
 from dvrk_cmaes.frames.truth import read_golden
 from dvrk_cmaes.frames.video_frames import Video
-from dvrk_cmaes.instrument.dvrk_description import is_arm, is_description, read_kinematics, read_tool
 from dvrk_cmaes.io.csv_file import separator_of
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import is_number, listed
-from dvrk_cmaes.io.toml_file import leaves, read_config
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.joint_state import is_joint_state
 from dvrk_cmaes.joints.reading import TIME_TOLERANCE, read_joint_file
@@ -51,10 +48,9 @@ from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.folder import is_followed, read_results
 
 _VIDEOS: Final = (".mp4", ".avi", ".mkv", ".mov")
-_MESHES: Final = (".stl", ".obj", ".dae", ".ply")
 _PICTURES: Final = (".png", ".jpg", ".jpeg")
 _EXPECTED = "a file or folder to look at"
-_KNOWN = "a camera file, joint readings, a mask, an image, a URDF, a mesh, or a JSON document of a known kind"
+_KNOWN = "a camera file, joint readings, a mask, an image, a URDF, or a JSON document of a known kind"
 _IMAGE_STARTS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8")
 _START = 65536  # bytes read to recognise the format
 _ROOT = re.compile(rb"<\s*(?!\?|!)([\w:.-]+)")
@@ -153,10 +149,6 @@ def inspect_path(path: str | Path, options: Options | None = None) -> Finding:
     suffix = file.suffix.lower()
     if suffix in _VIDEOS:
         return _inspect_video(file)
-    if suffix in _MESHES:
-        return _inspect_mesh(file)
-    if suffix == ".toml":
-        return _inspect_settings(file)
     if start.startswith(_IMAGE_STARTS):
         return _inspect_picture(file)
     if start.startswith(b"\x93NUMPY"):
@@ -207,8 +199,6 @@ def _inspect_json(path: Path, options: Options) -> Finding:
 
     document = read_json_object(path, expected="a JSON document", comments=True)
     fields = document.keys()
-    if is_description(document):
-        return _inspect_description(path, document)
     storage = any(isinstance(value, dict) and "type_id" in value for value in document.values())
     if storage or is_camera(unwrapped(document)):
         return _inspect_camera(path, options)
@@ -231,7 +221,7 @@ def _inspect_json(path: Path, options: Options) -> Finding:
         line = f"{counted(len(names), 'frame')}: {listed(names)}"
         return Finding("known poses (golden.json)", (line,), {"frames": names})
     raise InputError(
-        f"{path}: expected a camera, a dVRK tool or kinematics, a mask, a result, a session or golden.json, got the "
+        f"{path}: expected a camera, a mask, a result, a session or golden.json, got the "
         f"fields {listed(document) or '(none)'}"
     )
 
@@ -361,7 +351,7 @@ def _inspect_urdf(path: Path, options: Options) -> Finding:
     lines = (
         f"{instrument.name}, pose sought of {instrument.root_link}",
         f"links with meshes: {', '.join(f'{name} ({count} triangles)' for name, count in faces.items())}",
-        *_limits(limits),
+        f"limits: {', '.join(_range_text(name, *pair) for name, pair in limits.items()) or 'no joints'}",
         "no straight shaft found"
         if shaft is None
         else f"shaft of {1e3 * shaft.radius:.2f} mm radius, straight over {1e3 * shaft.length:.0f} mm",
@@ -370,47 +360,6 @@ def _inspect_urdf(path: Path, options: Options) -> Finding:
     )
     read = {"name": instrument.name, "root_link": instrument.root_link, "triangles": faces, "limits": limits}
     return Finding("instrument (URDF)", lines, read, ("limits are the URDF's unless --tool gives others",))
-
-
-def _inspect_mesh(path: Path) -> Finding:
-    """Describe a mesh; InputError if it is not valid."""
-    from dvrk_cmaes.instrument.meshes import read_mesh
-
-    vertices, faces = read_mesh(path)
-    sides = " x ".join(f"{1e3 * side:.2f}" for side in np.ptp(vertices, axis=0))
-    lines = f"{len(faces)} triangles, {len(vertices)} vertices", f"{sides} mm, if its unit is the metre"
-    return Finding("mesh", lines, {"triangles": len(faces), "vertices": len(vertices)})
-
-
-def _inspect_description(path: Path, document: Mapping[str, Any]) -> Finding:
-    """Describe the dVRK's description of a tool or of an arm; InputError if it is not valid."""
-    if is_arm(document):
-        arm = read_kinematics(path)
-        which = "neither the Classic's nor the Si's" if arm.arm is None else f"that of --arm {arm.arm}"
-        line = f"insertion offset {1e3 * arm.insertion_offset:.1f} mm, {which}"
-        return Finding("dVRK kinematics", (line, *_limits(arm.limits)), {"limits": dict(arm.limits)})
-    tool = read_tool(path)
-    line = (
-        f"wrist {1e3 * tool.roll_offset:.1f} mm beyond the frame of the insertion (D of roll), "
-        f"{1e3 * tool.wrist_length:.2f} mm between its axes"
-    )
-    return Finding("dVRK tool", (line, *_limits(tool.limits)), {"limits": dict(tool.limits)})
-
-
-def _limits(limits: Mapping[str, Sequence[float]]) -> tuple[str, ...]:
-    """Format the limits of joints, in mm or degrees."""
-    texts = [_range_text(name, low, high) for name, (low, high) in limits.items()]
-    return (f"limits: {', '.join(texts)}",) if texts else ("no joints",)
-
-
-def _inspect_settings(path: Path) -> Finding:
-    """Describe a settings file by the settings that differ from the defaults."""
-    default = EstimateConfig()
-    changed = dict(leaves(read_config(path, default)))
-    defaults = dict(leaves(default))
-    changes = {name: value for name, value in changed.items() if value != defaults[name]}
-    lines = tuple(f"{name} = {value} instead of {defaults[name]}" for name, value in changes.items())
-    return Finding("settings", lines or ("nothing but the defaults",), changes)
 
 
 # recordings and folders
@@ -555,7 +504,7 @@ def _problem(frame: FrameFiles, camera: Rig) -> str | None:
     if frame.problem is not None or frame.video is not None:
         return frame.problem
     try:
-        read_frame(frame, camera) if frame.has_mask else read_frame_image(frame, camera)
+        read_frame(frame, camera)
     except InputError as error:
         return str(error)
     return None

@@ -10,26 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.geometry import Float64, Image, exp_rotation, transform
+from dvrk_cmaes.geometry import Float64, exp_rotation, transform
 from dvrk_cmaes.instrument.endoscope import joints_of_ecm_tip
 from dvrk_cmaes.io.image_header import MOST_PIXELS, read_header
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.names import OUTER_JOINTS, accepted_names, joints_by_count, joints_of_arm
-
-_COMB = 15.0  # grey levels by which a pixel of a comb differs from both neighbours above and below
-_ALIKE = 8.0  # grey levels by which it differs at most from the next rows of its own field
-_LEAST_SHARE = 0.002  # of the picture, in combs
-
-
-def looks_interlaced(picture: Image) -> bool:
-    """Whether a picture (H, W, 3) has combs: rows that differ from both neighbours alike, but not from their field."""
-    grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).astype(np.float32)
-    middle, above, below = grey[2:-2], grey[1:-3], grey[3:-1]
-    own = np.maximum(np.abs(middle - grey[:-4]), np.abs(middle - grey[4:]))
-    comb = np.minimum(np.abs(middle - above), np.abs(middle - below)) * np.sign((middle - above) * (middle - below))
-    return bool(((comb > _COMB) & (own < _ALIKE)).mean() > _LEAST_SHARE)
-
 
 # bytes per pixel, and OpenCV's conversion to BGR or grey; ROS names Bayer patterns by the top-left 2 x 2 pixels
 _ENCODINGS: dict[str, tuple[int, int | None]] = {

@@ -7,7 +7,7 @@ Frame N of a clip has the files::
     time_syn/N.json          times of the image and of the readings
 
 ``camera_calibration`` has left.yaml and right.yaml, and in stereo_calib_params.json the pose between them, which is
-used where right.yaml states none. ``hand_eye_calibration`` has the arms' registrations, which are kept for comparison.
+used where right.yaml states none.
 The recorder takes the readings that are nearest in time to each image; here they are interpolated between those of
 neighbouring frames to the image's time.
 
@@ -183,10 +183,9 @@ def open_packed(path: Path, asked: Asked) -> Iterator[Recording]:
     if asked.joints is None:
         arms = [file.stem for file in path.glob("*.parquet") if file.stem.startswith(("PSM", "ECM"))]
         readings, said = _readings(path, chosen_arm(path, arms, asked.arm, "episode"), images, taken)
-    kept, of_kept = registrations(path / "calibration" / "hand_eye")
     with open_capture(video) as capture:
         recorded = frames_at(video, capture, images, len(taken[_LEFT]), f", one for each row of {_STAMPS}")
-        yield Recording(path, recorded, len(images), lens, {"": readings}, (*notes, *said, *of_kept), kept)
+        yield Recording(path, recorded, len(images), lens, {"": readings}, (*notes, *said))
 
 
 def _video(path: Path, side: Side, camera: Path | None) -> tuple[Path, bool]:
@@ -276,10 +275,7 @@ ECM: Final = "ECM"
 
 _CAMERAS: Final = "camera_calibration"
 _STEREO: Final = "stereo_calib_params.json"
-REGISTRATIONS: Final = "hand_eye_calibration"
-"""Folder of the arms' registrations, in a clip and in a session."""
 _LARGEST: Final = 400_000_000  # bytes of an image
-_LARGEST_REGISTRATION: Final = 1_000_000  # bytes
 _FARTHEST: Final = NANOSECONDS // 20  # of the readings of a frame from its image
 _WIDEST_GAP: Final = NANOSECONDS // 4  # between readings that are interpolated
 _IMAGES: Final = (".png", ".jpg")
@@ -324,21 +320,11 @@ def open_surgsync(path: Path, asked: Asked) -> Iterator[Recording]:
                 notes.append(f"{' '.join(ECM_JOINTS)}: kinematic/{ECM}")
             except InputError as error:
                 notes.append(f"the endoscope's arm is not read: {error}")
-    kept, of_kept = registrations(path / REGISTRATIONS)
     recorded = (
         RecordedImage(number, times[number][0], lambda file=file: _load(file))  # type: ignore[misc]
         for number, file in images.items()
     )
-    yield Recording(path, recorded, len(images), camera_bytes, {"": readings}, (*notes, *of_kept), kept)
-
-
-def registrations(folder: Path) -> tuple[dict[str, bytes], list[str]]:
-    """Read the registrations of a clip's arms, and say that they are kept."""
-    kept = {
-        f"{REGISTRATIONS}/{file.name}": read_bytes(file, expected="a registration", largest=_LARGEST_REGISTRATION)
-        for file in sorted(folder.glob("*.json"))
-    }
-    return kept, [f"registrations, kept: {listed(kept, 8)}"] if kept else []
+    yield Recording(path, recorded, len(images), camera_bytes, {"": readings}, tuple(notes))
 
 
 def camera_of_clip(folder: Path, asked: Asked) -> tuple[bytes, str]:

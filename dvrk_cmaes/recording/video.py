@@ -26,13 +26,12 @@ from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.recording.camera import read_camera_bytes
-from dvrk_cmaes.recording.messages import encode_png, looks_interlaced
+from dvrk_cmaes.recording.messages import encode_png
 from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording
 
 _EXPECTED = "a video that OpenCV reads, or a ROS recording (.bag, .mcap, .db3 or a folder)"
 _RATE_TOLERANCE = 0.01
 _SIDES: Final[tuple[Side, ...]] = ("left", "right")
-_JUDGED = 30  # frames of which some show combs if the video is interlaced
 
 
 def _window(path: Path, camera: Path, size: tuple[int, int], asked: Asked) -> Window:
@@ -77,10 +76,6 @@ def open_video(path: Path, asked: Asked) -> Iterator[Recording]:
         ]
         if window != (0, 0, *size):
             notes.append(f"images: {window[2]} x {window[3]} px at {window[0]}, {window[1]} of the video")
-        if _is_interlaced(path):
-            notes.append(
-                "images: they look interlaced: ffmpeg -i IN -vf bwdif=send_field OUT makes an image of each field"
-            )
         recorded, there = _images(path, capture, window, asked), total if total > 0 else None
         yield Recording(path, recorded, there, lens, {"": readings}, tuple(notes), names=asked.row_names(total))
 
@@ -151,18 +146,6 @@ def _images(path: Path, capture: Any, window: Window, asked: Asked) -> Iterator[
             raise InputError(f"{path}: frame {number}: expected a later time than {before / NANOSECONDS:g} s, got none")
         before = time
         yield RecordedImage(number, start + time, partial(decoded_frame, path, capture, number, window))
-
-
-def _is_interlaced(path: Path) -> bool:
-    """Whether some of the first frames of a video show combs."""
-    with open_capture(path) as capture:
-        for _ in range(_JUDGED):
-            decoded, pixels = capture.read()
-            if not decoded:
-                break
-            if looks_interlaced(np.asarray(pixels, np.uint8)):
-                return True
-    return False
 
 
 def frames_at(

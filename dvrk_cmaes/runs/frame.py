@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.draw.overlay import draw_failed
 from dvrk_cmaes.draw.view_overlays import draw_views
 from dvrk_cmaes.estimation import estimate_views
 from dvrk_cmaes.estimation.one_tool import FrameMethod
-from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame, read_frame_image, readable
+from dvrk_cmaes.frames.frame import FrameData, FrameFiles, readable
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.io.atomic import encoded_image, json_text
 from dvrk_cmaes.io.output import LONG, output, remove, write_bytes
@@ -35,14 +34,6 @@ class FrameOutcome:
     result: Result
     overlay: bytes | None
     masks: Mapping[str, bytes] = field(default_factory=dict)
-
-
-def read_any_frame(files: FrameFiles, camera: Camera | Rig) -> FrameData:
-    """Read a frame that has a mask, of a rig in at least one view, or only images.
-
-    Errors as `read_frame` and `read_frame_image`.
-    """
-    return read_frame(files, camera) if files.has_mask else read_frame_image(files, camera)
 
 
 def run_frame(

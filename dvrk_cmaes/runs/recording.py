@@ -17,7 +17,7 @@ from dvrk_cmaes.calibration.prediction import Prediction
 from dvrk_cmaes.calibration.session_problem import ArmSetup
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.frame import FrameData, FrameFiles, image_path, read_frame, read_frame_image
+from dvrk_cmaes.frames.frame import FrameData, FrameFiles, image_path, read_frame
 from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.interpolation import Sparseness
@@ -123,7 +123,7 @@ def read_seen(files: FrameFiles, rig: Rig) -> FrameData | None:
         raise InputError(files.problem)
     if not files.has_mask and image_path(files) is None:
         return None
-    return read_frame(files, rig, blank=True) if files.has_mask else read_frame_image(files, rig)
+    return read_frame(files, rig, blank=True)
 
 
 def predict(

@@ -13,7 +13,7 @@ import numpy as np
 
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.frame import FrameFiles, frame_size, read_frame, read_frame_image
+from dvrk_cmaes.frames.frame import FrameFiles, frame_size, read_frame
 from dvrk_cmaes.frames.images import match_size
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Bool, Float64, Image
@@ -180,10 +180,9 @@ def read_arrays(files: FrameFiles, camera: Camera) -> tuple[Image | None, Bool |
     InputError
         A file is wrong, or the mask is not of the camera's size.
     """
-    if files.mask is None:
-        seen = read_frame_image(files, camera)
-        return seen.image, None, seen.ignore
     data = read_frame(files, camera, blank=True)
+    if not data.views[0].given:
+        return data.image, None, data.ignore
     if (data.camera.width, data.camera.height) != (camera.width, camera.height):
         raise InputError(
             f"{files.mask}: expected {camera.width} x {camera.height} pixels as the camera has, got "

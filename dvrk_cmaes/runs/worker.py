@@ -22,12 +22,12 @@ from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.estimation.one_tool import FrameMethod
-from dvrk_cmaes.frames.frame import FrameFiles
+from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import encoded_image
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.frame import FrameOutcome, draw_failed_frame, outcome_of, read_any_frame
+from dvrk_cmaes.runs.frame import FrameOutcome, draw_failed_frame, outcome_of
 from dvrk_cmaes.runs.manifest import instrument_digest
 from dvrk_cmaes.runs.pool import limit_library_threads
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings, hints_within
@@ -97,7 +97,7 @@ def run_task(packed: PackedSetup, files: FrameFiles) -> FrameOutcome:
 def estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> FrameOutcome:
     """Read and estimate one frame, whose result has failed where that is not possible; never raises."""
     try:
-        frame = read_any_frame(files, setup.rig)
+        frame = read_frame(files, setup.rig)
         frame = replace(frame, notes=tuple(relative_text(setup.folder, note) for note in frame.notes))
         method = FrameMethod(setup.arm, setup.config, setup.calibration, setup.segment, hints_of(files))
         return outcome_of(files, frame, body, method)

@@ -13,7 +13,6 @@ import yaml
 from numpy.typing import NDArray
 
 from dvrk_cmaes import read_frame, read_session
-from dvrk_cmaes.frames.frame import read_frame_image
 from dvrk_cmaes.frames.overlays import OVERLAID, overlaid, with_overlaid
 
 Image = NDArray[np.uint8]
@@ -97,6 +96,6 @@ def test_frames_of_a_session_ignore_the_text_with_their_masks_and_without_images
         step = WIDTH // size[1]
         assert data.ignore[LETTERS[::step, ::step]].mean() > 0.95
     part = replace(session.frames[0], mask=None, crop=(0, 160, 160, 80))
-    cropped = read_frame_image(part, session.camera.cropped(0, 160, 160, 80)).ignore
+    cropped = read_frame(part, session.camera.cropped(0, 160, 160, 80)).ignore
     assert cropped is not None
     assert cropped[LETTERS[160:, :160]].mean() > 0.95

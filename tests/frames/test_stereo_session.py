@@ -10,7 +10,6 @@ import pytest
 from helpers.stereo_sessions import make_stereo_session
 
 from dvrk_cmaes import Body, InputError, read_frame, read_session
-from dvrk_cmaes.frames.frame import read_frame_image
 
 
 @pytest.fixture
@@ -30,7 +29,7 @@ def test_frame_of_one_view_has_an_empty_mask_in_the_other(folder: Path) -> None:
 def test_images_of_both_views_are_read_where_there_is_no_mask(folder: Path) -> None:
     (folder / "masks").rename(folder / "images")
     session = read_session(folder)
-    data = read_frame_image(session.frames[0], session.rig)
+    data = read_frame(session.frames[0], session.rig)
     assert [(view.name, view.image is not None, view.given) for view in data.views] == [
         ("left", True, False),
         ("right", True, False),

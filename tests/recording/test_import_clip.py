@@ -61,15 +61,6 @@ def test_right_camera_is_chosen(imported: Import, tmp_path: Path) -> None:
     assert session.image_times["000002"] == image_time(2) + 1_000_000
 
 
-def test_registrations_are_kept(imported: Import, tmp_path: Path) -> None:
-    clip = write_clip(tmp_path / "clip")
-    summary = imported(clip, "--arm", "PSM1")
-    for name in ("PSM1-registration-dVRK.json", "PSM1-registration-open-cv.json"):
-        kept = Path("session/hand_eye_calibration") / name
-        assert kept.read_bytes() == (clip / "hand_eye_calibration" / name).read_bytes()
-    assert summary["notes"][-1].startswith("registrations, kept: hand_eye_calibration/PSM1-registration-dVRK.json")
-
-
 def test_damaged_readings_of_the_endoscopes_arm_are_named_and_left_out(imported: Import, tmp_path: Path) -> None:
     clip = write_clip(tmp_path / "clip")
     (clip / "kinematic/ECM/1.json").write_text("{}")

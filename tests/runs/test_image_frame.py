@@ -26,8 +26,7 @@ from dvrk_cmaes.estimation import image_frame
 from dvrk_cmaes.estimation.image_frame import SegmentedFrame, segment_and_estimate
 from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.evaluate.pose_error import compare_poses
-from dvrk_cmaes.frames.frame import read_frame_image
-from dvrk_cmaes.runs.frame import estimate_frame, read_any_frame, run_frame
+from dvrk_cmaes.runs.frame import estimate_frame, run_frame
 from dvrk_cmaes.segment import Segmentation
 
 METHOD = FrameMethod("classic", EstimateConfig())
@@ -42,7 +41,7 @@ def session() -> Session:
 
 def solve_image(session: Session, files: FrameFiles, body: Body) -> SegmentedFrame:
     files = replace(files, mask=None)
-    return segment_and_estimate(read_any_frame(files, session.rig), files, body, METHOD)
+    return segment_and_estimate(read_frame(files, session.rig), files, body, METHOD)
 
 
 def both_ways(session: Session, files: FrameFiles, body: Body) -> Found:
@@ -86,7 +85,7 @@ def test_found_mask_is_written_and_a_repeated_estimate_is_identical(
     session: Session, bundled_body: Body, found: Found, tmp_path: Path
 ) -> None:
     files = replace(session.frames[0], mask=None)
-    frame = read_frame_image(files, session.camera)
+    frame = read_frame(files, session.camera)
     with segmented_anew():
         result, written = run_frame(files, frame, bundled_body, METHOD, tmp_path)
     assert [str(path.relative_to(tmp_path)) for path in written] == [
