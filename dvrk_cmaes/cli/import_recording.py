@@ -25,9 +25,11 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import shown
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.joints.interpolation import TimedReadings
+    from dvrk_cmaes.geometry import Float64
+    from dvrk_cmaes.instrument.arm import Arm
+    from dvrk_cmaes.instrument.dvrk_description import Tool
     from dvrk_cmaes.joints.lag import Lag
-    from dvrk_cmaes.joints.rows import JointFile
+    from dvrk_cmaes.recording.pose_table import PosePoint
     from dvrk_cmaes.recording.write_session import ImportSummary
 
 SELECTION = Group.create_ordered("Selection")
@@ -81,7 +83,8 @@ class PoseOptions:
     Parameters
     ----------
     pose_of
-        Take --joints as a table of poses (time, x, y, z, qx, qy, qz, qw, and jaw if known) of this point: tip, the
+        Take --joints as a table of poses (time, x, y, z, qx, qy, qz, qw, and jaw if known), or the poses of a LeRobot
+        data set as those, of this point: tip, the
         dVRK's tip frame (measured_cp), or wrist-yaw, the origin of the wrist yaw axis with the tip's axes.
     pose_base
         Frame that the poses are given in: local, the arm's base (local/measured_cp), or a file with the pose of the
@@ -261,17 +264,21 @@ def import_recording(
     check_range("--episode", part.episode, 0, MOST_EPISODES)
     from dvrk_cmaes.frames.own_files import check_own_folder
     from dvrk_cmaes.frames.picture_fit import parse_crop
+    from dvrk_cmaes.recording.pose_table import read_pose_table
     from dvrk_cmaes.recording.readers import open_recording
     from dvrk_cmaes.recording.recording import Asked
     from dvrk_cmaes.recording.write_session import write_session
 
     check_own_folder(recording)
+    posed, arm = _poses(poses), part.arm[0] if len(part.arm) == 1 else None
+    tables = () if posed or video.joints is None else joint_files([video.joints], arm) or ()
     asked = Asked(
         side=None if part.side == "both" else part.side,
         both=part.side == "both",
         arms=part.arm,
         camera=video.camera,
-        joints=_table(video.joints, poses, part.arm[0] if len(part.arm) == 1 else None),
+        joints=read_pose_table(video.joints, *posed) if posed and video.joints else next(iter(tables), None),
+        posed=None if video.joints else posed,
         start=video.video_start,
         layout=video.layout,
         crop=None if video.crop is None else parse_crop("--crop", video.crop),
@@ -301,16 +308,12 @@ def import_recording(
     return 0
 
 
-def _table(
-    joints: Path | None, poses: PoseOptions, arm: str | None
-) -> Path | JointFile | tuple[TimedReadings, ...] | None:
-    """Return the file of readings, or those that are found from the table of poses if --pose-of is given."""
+def _poses(poses: PoseOptions) -> tuple[PosePoint, Float64, Arm, Tool | None] | None:
+    """Return what poses mean, as of `read_pose_table`; None without --pose-of."""
     if poses.pose_of is None:
         if poses != PoseOptions():
             raise InputError("--pose-of: expected tip or wrist-yaw with --pose-base, --kinematics and --tool, got none")
-        return None if joints is None else (joint_files([joints], arm) or (None,))[0]
-    if joints is None:
-        raise InputError("--joints: expected a table of poses with --pose-of, got none")
+        return None
     if poses.pose_base is None:
         raise InputError(
             "--pose-base: expected local for poses in the arm's base (local/measured_cp), or a file with the pose of "
@@ -320,11 +323,9 @@ def _table(
 
     from dvrk_cmaes.export.cartesian_pose import read_cartesian_pose
     from dvrk_cmaes.instrument.dvrk_description import read_tool
-    from dvrk_cmaes.recording.pose_table import read_pose_table
 
     base = np.eye(4) if poses.pose_base == "local" else read_cartesian_pose(Path(poses.pose_base))
-    tool = None if poses.tool is None else read_tool(poses.tool)
-    return read_pose_table(joints, poses.pose_of, base, poses.kinematics, tool)
+    return poses.pose_of, base, poses.kinematics, None if poses.tool is None else read_tool(poses.tool)
 
 
 def _lag(text: str | None, calibration: Path | None) -> tuple[Lag | None, str]:

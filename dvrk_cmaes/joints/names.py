@@ -131,8 +131,8 @@ def check_readings(where: str, joints: object, known: Sequence[str]) -> None:
 
 
 def unit_of(name: str) -> str:
-    """Return the unit of a joint's readings."""
-    return "m" if name in ("insertion", "ecm_insertion") else "rad"
+    """Return the unit of a joint's readings, or of a coordinate."""
+    return "m" if name in ("insertion", "ecm_insertion", "x", "y", "z") else "rad"
 
 
 def joint_reading(where: str, name: str, cell: object) -> float:

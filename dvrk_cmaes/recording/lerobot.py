@@ -13,24 +13,30 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from dvrk_cmaes.camera.fields import Side
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.video_frames import EXPECTED, open_capture
+from dvrk_cmaes.geometry import inverse
+from dvrk_cmaes.instrument.inverse_kinematics import POSED_JOINTS
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.io.parquet_file import read_columns
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
 from dvrk_cmaes.joints.names import ARM_ORDER, joint_reading
 from dvrk_cmaes.recording.camera import read_camera_bytes
-from dvrk_cmaes.recording.parquet_file import read_columns
+from dvrk_cmaes.recording.pose_table import POSE, joints_of_poses, poses_of
 from dvrk_cmaes.recording.recording import Asked, Recording
-from dvrk_cmaes.recording.video import check_rate, frames_at
+from dvrk_cmaes.recording.video import check_rate, frames_of
 
 _STATE: Final = "observation.state"
 _ROWS: Final = ("episode_index", "frame_index", "timestamp")
 _ARM: Final = re.compile(r"(?:(psm\d)[_./ ]+)?(.*)", re.IGNORECASE)
 _PREFIX: Final = re.compile(r"(measured_js|outer|joint|joints)_(?=[a-z])")
 _NUMBERED: Final = re.compile(r"(?:measured_js|joint|joints)_?([1-6])")
+_POSED: Final = re.compile(r"(?:pose_)?(?:(?:position|pos)|(orientation|quat|quaternion))_([xyzw])")
 
 
 def is_lerobot(path: Path) -> bool:
@@ -74,7 +80,8 @@ def open_lerobot(path: Path, asked: Asked) -> Iterator[Recording]:
     readings, said = asked.given_readings()
     if asked.joints is None:
         names, said = _fields(file, info, asked.arm)
-        readings = (_readings(table, names, times, [columns[_STATE][k] for k in rows], said[0]),)
+        readings = _readings(table, names, times, [columns[_STATE][k] for k in rows], said[0], asked)
+        said += [series.source for series in readings if series.joints == POSED_JOINTS and {*POSE} <= {*names}]
     check_file(video, expected=EXPECTED)
     with open_capture(video) as capture:
         fps = _number(file, "fps", info.get("fps"))
@@ -87,7 +94,7 @@ def open_lerobot(path: Path, asked: Asked) -> Iterator[Recording]:
             "times: timestamp",
         )
         count, numbered = first + len(times), dict(enumerate(times, start=first))
-        images = frames_at(video, capture, numbered, count, " by the readings", first)
+        images = frames_of(video, capture, numbered.get, count=count, expected=" by the readings", first=first)
         yield Recording(path, images, len(times), read_camera_bytes(camera), {"": readings}, notes)
 
 
@@ -175,16 +182,21 @@ def _fields(file: Path, info: Mapping[str, Any], arm: str | None) -> tuple[dict[
         )
     chosen = arm.upper() if arm is not None else next(iter(found))
     taken = found[chosen]
+    posed = {*POSE} <= {*taken} and not {*ARM_ORDER} & {*taken}
+    taken = {name: k for name, k in taken.items() if posed or name not in POSE}
     said = [f"{_STATE} ({chosen})" if chosen else _STATE, *(f"{j}: {names[k]}" for j, k in taken.items())]
-    others = [*unknown, *(names[k] for own, joints in found.items() if own != chosen for k in joints.values())]
+    used = {*taken.values()}
+    others = [*unknown, *(names[k] for joints in found.values() for k in joints.values() if k not in used)]
     return taken, [*said, *([f"not taken: {listed(others, 40)}"] if others else [])]
 
 
 def _joint(name: str) -> tuple[str, str | None]:
-    """Return the arm, upper case or empty, and the joint that a name means; None for none."""
+    """Return the arm, upper case or empty, and the joint or the part of its pose that a name means; None for none."""
     match = _ARM.fullmatch(name)
     arm, rest = (match[1] or "", match[2]) if match else ("", name)
     plain = re.sub(r"[./ -]+", "_", rest.lower()).removesuffix("_pos")
+    if (posed := _POSED.fullmatch(plain)) is not None:
+        return arm.upper(), f"{'q' if posed[1] else ''}{posed[2]}"
     if (numbered := _NUMBERED.fullmatch(plain)) is not None:
         return arm.upper(), ARM_ORDER[int(numbered[1]) - 1]
     plain = _PREFIX.sub("", _PREFIX.sub("", plain, count=1), count=1)
@@ -192,18 +204,25 @@ def _joint(name: str) -> tuple[str, str | None]:
 
 
 def _readings(
-    path: Path, names: Mapping[str, int], times: Sequence[int], states: Sequence[Any], source: str
-) -> TimedReadings:
-    """Return the readings of the rows of an episode."""
-    values = []
-    for k, state in enumerate(states):
-        where = f"{path}: row {k}: {_STATE}"
+    path: Path, names: Mapping[str, int], times: Sequence[int], states: Sequence[Any], source: str, asked: Asked
+) -> tuple[TimedReadings, ...]:
+    """Return the readings of the rows of an episode; those of the arm's poses are found by inverse kinematics."""
+    values, wheres = [], [f"{path}: row {k}: {_STATE}" for k in range(len(states))]
+    for where, state in zip(wheres, states, strict=True):
         if not isinstance(state, list) or len(state) <= max(names.values()):
             raise InputError(
                 f"{where}: expected a list of at least {max(names.values()) + 1} numbers, got {shown(state)}"
             )
-        values.append([joint_reading(where, joint, state[place]) for joint, place in names.items()])
-    return TimedReadings.of(source, tuple(names), times, values)
+        values.append([joint_reading(where, name, state[place]) for name, place in names.items()])
+    joints, table = [k for k, name in enumerate(names) if name not in POSE], np.array(values)
+    series = [TimedReadings.of(source, tuple(name for name in names if name not in POSE), times, table[:, joints])]
+    if len(joints) < len(names):
+        posed = table[:, [list(names).index(name) for name in POSE]]
+        point, base, arm, tool = asked.posed or ("tip", np.eye(4), "classic", None)
+        found, said = joints_of_poses(path, inverse(base) @ poses_of(wheres, posed), point, arm, tool)
+        said += "" if asked.posed else "; taken in its base (local/measured_cp), --pose-base says otherwise"
+        series.insert(0, TimedReadings.of(f"{source}, {said}", POSED_JOINTS, times, found))
+    return tuple(own for own in series if own.joints)
 
 
 def _number(path: Path, key: str, value: Any, least: float = 1.0) -> float:

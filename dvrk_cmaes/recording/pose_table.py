@@ -7,6 +7,7 @@ tables; `read_pose_table` is told it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -17,7 +18,7 @@ from dvrk_cmaes.geometry import Float64, inverse, transform
 from dvrk_cmaes.instrument.arm import ROLL_OFFSET, TOOLTIP_OFFSET, WRIST_LENGTH, Arm
 from dvrk_cmaes.instrument.dvrk_description import Tool
 from dvrk_cmaes.instrument.inverse_kinematics import POSED_JOINTS, find_joints
-from dvrk_cmaes.io.csv_file import Rows, number_in, read_csv_rows
+from dvrk_cmaes.io.csv_file import number_in, read_csv_rows
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import TimedReadings
 from dvrk_cmaes.joints.reading import read_joint_file
@@ -26,7 +27,7 @@ from dvrk_cmaes.joints.times import parse_time
 
 PosePoint = Literal["tip", "wrist-yaw"]
 
-_POSE = {"x": "m", "y": "m", "z": "m", "qx": "", "qy": "", "qz": "", "qw": ""}
+POSE = {"x": "m", "y": "m", "z": "m", "qx": "", "qy": "", "qz": "", "qw": ""}
 _EXPECTED = "a table of poses (CSV with time, x, y, z, qx, qy, qz, qw)"
 _UNIT = 1e-3  # tolerance of a quaternion's length
 
@@ -55,13 +56,15 @@ def read_pose_table(
         The table is not valid, or no pose is reached; the message names the file and the line or the reason.
     """
     header, rows = read_csv_rows(path, expected=_EXPECTED)
-    missing = [name for name in ("time", *_POSE) if name not in header]
+    missing = [name for name in ("time", *POSE) if name not in header]
     if missing or not rows:
         got = f"no {', '.join(missing)} in {listed(header)}" if missing else "a header only"
         raise InputError(f"{path}: header: expected {_EXPECTED}, got {got}")
     rows = sorted(rows, key=lambda row: parse_time(row[0], row[1]["time"]))  # in which roll is continued
     times = [parse_time(where, cells["time"]) for where, cells in rows]
-    found, said = joints_of_poses(path, inverse(reference_from_base) @ _poses(rows), point, arm, tool)
+    values = [[number_in(where, name, cells, unit) for name, unit in POSE.items()] for where, cells in rows]
+    poses = poses_of([where for where, _ in rows], np.array(values))
+    found, said = joints_of_poses(path, inverse(reference_from_base) @ poses, point, arm, tool)
     series = [TimedReadings.of(f"{path} ({said})", POSED_JOINTS, times, found.tolist())]
     if "jaw" in header:
         jaw = [[number_in(where, "jaw", cells, "rad") if cells["jaw"] else np.nan] for where, cells in rows]
@@ -93,14 +96,13 @@ def joints_of_poses(
     return found.joints, said
 
 
-def _poses(rows: Rows) -> Float64:
-    """Convert the cells of N rows to poses (N, 4, 4)."""
+def poses_of(wheres: Sequence[str], values: Float64) -> Float64:
+    """Convert positions, m, and quaternions xyzw (N, 7) to poses (N, 4, 4); InputError for those that are not unit."""
     from scipy.spatial.transform import Rotation  # imported late: most imports do without
 
-    values = np.array([[number_in(where, name, cells, unit) for name, unit in _POSE.items()] for where, cells in rows])
     lengths = np.linalg.norm(values[:, 3:], axis=1)
-    for (where, _), row, length in zip(rows, values, lengths, strict=True):
-        if abs(length - 1) > _UNIT:
+    for where, row, length in zip(wheres, values, lengths, strict=True):
+        if not abs(length - 1) <= _UNIT:
             raise InputError(f"{where}: qx: expected a unit quaternion qx, qy, qz, qw, got {shown(row[3:].tolist())}")
     return transform(Rotation.from_quat(values[:, 3:]).as_matrix(), values[:, :3])
 

@@ -31,7 +31,7 @@ class Reader(NamedTuple):
 _TOPICS: Final = "image_topic image_topic_right camera_topic joints_topic jaw_topic recorded_times rectified"
 
 READERS: Final = (
-    Reader("a LeRobot data set", is_lerobot, open_lerobot, "arms episode"),
+    Reader("a LeRobot data set", is_lerobot, open_lerobot, "arms episode posed"),
     Reader("a folder of SurgPose", is_surgpose, open_surgpose, "arms both"),
     Reader("an episode of SurgSync", is_packed, open_packed, "arms both"),
     Reader("a clip of SurgSync", is_surgsync, open_surgsync, "arms both"),
@@ -42,7 +42,12 @@ READERS: Final = (
 )
 """The first that knows a path opens it."""
 
-_OPTIONS: Final = {"arms": "--arm", "both": "--side both", "start": "--video-start"}
+_OPTIONS: Final = {
+    "arms": "--arm",
+    "both": "--side both",
+    "start": "--video-start",
+    "posed": "--pose-of alone",
+}
 """How fields of `Asked` are asked for whose options have another name."""
 
 

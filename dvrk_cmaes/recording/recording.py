@@ -6,13 +6,19 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from dvrk_cmaes.camera.files import Side
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.video_frames import Layout, Window
+from dvrk_cmaes.geometry import Float64
+from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.instrument.dvrk_description import Tool
 from dvrk_cmaes.joints.interpolation import TimedReadings
+from dvrk_cmaes.joints.names import joint_reading, joints_by_count
 from dvrk_cmaes.joints.reading import read_joint_file
 from dvrk_cmaes.joints.rows import JointFile
-from dvrk_cmaes.recording.pose_table import read_timed_joints
+from dvrk_cmaes.recording.pose_table import PosePoint, read_timed_joints
 
 _DIGITS = 6  # number of digits of a frame's name
 _PLAIN = re.compile(r"[\w-][\w.-]*")  # a row's name that is also that of a file
@@ -44,6 +50,9 @@ class Asked:
         `eye_window`.
     episode
         Number of the episode of a LeRobot data set.
+    posed
+        What poses of a LeRobot data set mean: point, reference_from_base, arm and tool as of `read_pose_table`; None
+        for poses of the tip in the base of a classic arm.
     image_topic, image_topic_right, camera_topic, joints_topic, jaw_topic
         Topics of a ROS recording; None to find one automatically, ``none`` to use none.
     recorded_times
@@ -62,6 +71,7 @@ class Asked:
     layout: Layout | None = None
     crop: Window | None = None
     episode: int = 0
+    posed: tuple[PosePoint, Float64, Arm, Tool | None] | None = None
     image_topic: str | None = None
     image_topic_right: str | None = None
     camera_topic: str | None = None
@@ -154,3 +164,26 @@ class Recording:
     def name(self, number: int) -> str:
         """Return the name in a session of the image of a number."""
         return self.names[number] if number < len(self.names) else frame_name(number)
+
+
+def listed_readings(where: str, value: Any) -> dict[str, float]:
+    """Return the readings of a cell: a list of an arm's joints, or the jaw's; InputError begins with ``where``."""
+    if not isinstance(value, list):
+        return {"jaw": joint_reading(where, "jaw", value)}
+    names = joints_by_count(where, len(value))
+    return {name: joint_reading(where, name, cell) for name, cell in zip(names, value, strict=True)}
+
+
+def series_of_rows(
+    source: str, rows: Mapping[int, Mapping[str, float]], time_of: Callable[[int], int]
+) -> TimedReadings:
+    """Return the series of rows of the same joints, by number; InputError if there are none, or of other joints."""
+    if not rows:
+        raise InputError(f"{source}: expected the joints of at least one frame, got none")
+    names = tuple(next(iter(rows.values())))
+    for number, row in rows.items():
+        if tuple(row) != names:
+            raise InputError(
+                f"{source}: frame {number}: expected {len(names)} values as in the frames before, got {len(row)}"
+            )
+    return TimedReadings.of(source, names, [time_of(k) for k in rows], [list(row.values()) for row in rows.values()])

@@ -20,8 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
-from itertools import count, takewhile
 from pathlib import Path
 from typing import Any, Final
 
@@ -37,12 +35,12 @@ from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.io.yaml_file import read_yaml_by_frame
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
-from dvrk_cmaes.joints.names import joint_reading, joints_by_count
+from dvrk_cmaes.joints.names import joint_reading
 from dvrk_cmaes.recording.camera import read_camera_bytes
-from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording, frame_name
+from dvrk_cmaes.recording.recording import Asked, Recording, frame_name, listed_readings, series_of_rows
 from dvrk_cmaes.recording.stereo_ini import read_stereo_ini
 from dvrk_cmaes.recording.surgsync import chosen_arm
-from dvrk_cmaes.recording.video import check_rate, decoded_frame
+from dvrk_cmaes.recording.video import check_rate, frames_of
 
 Labels = dict[int, dict[str, tuple[float, float]]]
 """Pixels (u, v) by the label's number, as text, in each frame."""
@@ -169,10 +167,7 @@ def open_surgpose(path: Path, asked: Asked) -> Iterator[Recording]:
         ]
         if asked.joints is None and total > 0 and total != len(rows):
             notes.append(f"{_READINGS} has {len(rows)} frames, the video {total}")
-        images = (
-            RecordedImage(number, _time(number), partial(decoded_frame, video, capture, number))
-            for number in takewhile(lambda _: capture.grab(), count())
-        )
+        images = frames_of(video, capture, _time)
         yield Recording(path, images, total if total > 0 else None, lens, {"": readings}, tuple(notes), kept)
 
 
@@ -201,24 +196,14 @@ def _chosen_arm(path: Path, rows: Mapping[int, Any], arm: str | None) -> str:
 
 def _readings(path: Path, rows: Mapping[int, Any], arm: str) -> tuple[TimedReadings, ...]:
     """Return the readings of an arm; a frame without a value has none."""
-    names: tuple[str, ...] = ()
-    times, values = [], []
+    found = {}
     for number, row in rows.items():
-        where = f"{path}: frame {number}: {arm}"
-        own = row.get(arm) if isinstance(row, Mapping) else row
-        if own is None:
-            continue
-        if not isinstance(own, list):
+        own, where = row.get(arm) if isinstance(row, Mapping) else row, f"{path}: frame {number}: {arm}"
+        if own is not None and not isinstance(own, list):
             raise InputError(f"{where}: expected a list of joints, got {shown(own)}")
-        joints = joints_by_count(where, len(own))
-        names = names or joints
-        if joints != names:
-            raise InputError(f"{where}: expected {len(names)} values as in the frames before, got {len(own)}")
-        times.append(_time(number))
-        values.append([joint_reading(where, name, cell) for name, cell in zip(names, own, strict=True)])
-    if not times:
-        raise InputError(f"{path}: {arm}: expected the joints of at least one frame, got none")
-    return (TimedReadings.of(f"{path.name} ({arm})", names, times, values),)
+        if own is not None:
+            found[number] = listed_readings(where, own)
+    return (series_of_rows(f"{path.name} ({arm})", found, _time),)
 
 
 def _jaw(path: Path, arm: str) -> tuple[tuple[TimedReadings, ...], list[str]]:
@@ -235,9 +220,8 @@ def _jaw(path: Path, arm: str) -> tuple[tuple[TimedReadings, ...], list[str]]:
     if not isinstance(found, list | Mapping) or not found:
         raise InputError(f"{file}: {path.resolve().name}: {arm}: expected the jaw of each frame, got {shown(found)}")
     by_frame = _by_frame(file, found)
-    values = [[joint_reading(f"{file}: {arm}: frame {n}", "jaw", cell)] for n, cell in by_frame.items()]
-    times = [_time(number) for number in by_frame]
-    series = TimedReadings.of(f"{file.name} ({arm})", ("jaw",), times, values)
+    rows = {n: {"jaw": joint_reading(f"{file}: {arm}: frame {n}", "jaw", cell)} for n, cell in by_frame.items()}
+    series = series_of_rows(f"{file.name} ({arm})", rows, _time)
     return (series,), [f"jaw: {file.name}, {arm}"]
 
 

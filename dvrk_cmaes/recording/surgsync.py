@@ -42,15 +42,15 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.video_frames import EXPECTED, open_capture
 from dvrk_cmaes.io.files import check_file, read_bytes
 from dvrk_cmaes.io.json_file import read_json, read_json_object
+from dvrk_cmaes.io.parquet_file import field_names, read_columns
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, known_where, weighted_mean
 from dvrk_cmaes.joints.names import ECM_JOINTS, joint_reading, joints_by_count
 from dvrk_cmaes.joints.times import parse_time
 from dvrk_cmaes.recording.camera import read_camera_bytes, with_pose
 from dvrk_cmaes.recording.messages import stored_image
-from dvrk_cmaes.recording.parquet_file import field_names, read_columns
-from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording
-from dvrk_cmaes.recording.video import frames_at
+from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording, listed_readings
+from dvrk_cmaes.recording.video import frames_of
 
 _TIMES = "the times of a frame (time_syn, JSON)"
 _KINEMATICS = "the readings of an arm (kinematic, JSON)"
@@ -184,7 +184,9 @@ def open_packed(path: Path, asked: Asked) -> Iterator[Recording]:
         arms = [file.stem for file in path.glob("*.parquet") if file.stem.startswith(("PSM", "ECM"))]
         readings, said = _readings(path, chosen_arm(path, arms, asked.arm, "episode"), images, taken)
     with open_capture(video) as capture:
-        recorded = frames_at(video, capture, images, len(taken[_LEFT]), f", one for each row of {_STAMPS}")
+        recorded = frames_of(
+            video, capture, images.get, count=len(taken[_LEFT]), expected=f", one for each row of {_STAMPS}"
+        )
         yield Recording(path, recorded, len(images), lens, {"": readings}, (*notes, *said))
 
 
@@ -239,7 +241,7 @@ def _readings(
         raise InputError(f"{table}: {_ROW}: expected the {len(times[_LEFT])} rows of {_STAMPS}, got others")
     taken, notes, rest = [], [], [name for name in field_names(table) if name not in (_ROW, _TIME, _JOINTS, _JAW)]
     for field, values in columns.items():
-        rows = {k: _row(f"{table}: row {k}: {field}", values[k]) for k in images if values[k] is not None}
+        rows = {k: listed_readings(f"{table}: row {k}: {field}", values[k]) for k in images if values[k] is not None}
         if not rows:
             if field == _JOINTS:
                 raise InputError(f"{table}: {field}: expected readings of the images' frames, got none")
@@ -250,16 +252,6 @@ def _readings(
         taken.append(at_images(str(table), names, rows, images, {k: moments[k] for k in rows}))
         notes.append(f"{' '.join(names)}: {arm}.parquet, {field}")
     return tuple(taken), [*notes, *([f"not taken: {listed(rest, 40)}"] if rest else [])]
-
-
-def _row(where: str, value: Any) -> dict[str, float]:
-    """Return the readings of a cell: a list of an arm's joints, or the jaw's."""
-    if not isinstance(value, list):
-        return {"jaw": joint_reading(where, "jaw", value)}
-    return {
-        name: joint_reading(where, name, cell)
-        for name, cell in zip(joints_by_count(where, len(value)), value, strict=True)
-    }
 
 
 def _whole(path: Path, name: str, document: Mapping[str, Any]) -> int:

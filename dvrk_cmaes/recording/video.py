@@ -6,11 +6,12 @@ A folder with the videos of a stereo endoscope has one for each eye, named left 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from itertools import count, takewhile
+from itertools import count as numbers
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -76,8 +77,19 @@ def open_video(path: Path, asked: Asked) -> Iterator[Recording]:
         ]
         if window != (0, 0, *size):
             notes.append(f"images: {window[2]} x {window[3]} px at {window[0]}, {window[1]} of the video")
-        recorded, there = _images(path, capture, window, asked), total if total > 0 else None
-        yield Recording(path, recorded, there, lens, {"": readings}, tuple(notes), names=asked.row_names(total))
+        start = round(asked.start * NANOSECONDS)
+        recorded = frames_of(
+            path, capture, lambda _: start + round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6), window=window
+        )
+        yield Recording(
+            path,
+            recorded,
+            total if total > 0 else None,
+            lens,
+            {"": readings},
+            tuple(notes),
+            names=asked.row_names(total),
+        )
 
 
 @contextmanager
@@ -137,29 +149,29 @@ def _videos(path: Path, side: Side) -> list[Path]:
     ]
 
 
-def _images(path: Path, capture: Any, window: Window, asked: Asked) -> Iterator[RecordedImage]:
-    """Yield the images of one eye."""
-    before, start = -1, round(asked.start * NANOSECONDS)
-    for number in takewhile(lambda _: capture.grab(), count()):
-        time = round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
-        if time <= before:
-            raise InputError(f"{path}: frame {number}: expected a later time than {before / NANOSECONDS:g} s, got none")
-        before = time
-        yield RecordedImage(number, start + time, partial(decoded_frame, path, capture, number, window))
-
-
-def frames_at(
-    path: Path, capture: Any, times: Mapping[int, int], count: int, expected: str, first: int = 0
+def frames_of(
+    path: Path,
+    capture: Any,
+    time_of: Callable[[int], int | None],
+    *,
+    count: int | None = None,
+    expected: str = "",
+    first: int = 0,
+    window: Window | None = None,
 ) -> Iterator[RecordedImage]:
     """Yield the frames of a video whose numbers have times, ns, as images that are counted from ``first``.
 
-    The video has at least ``count`` frames, which InputError says are ``expected`` if it ends before.
+    Of a video with at least ``count`` frames, InputError says that these are ``expected`` if it ends before. ``window``
+    is the part of the pictures that is one eye's.
     """
-    for number in range(count):
+    for number in islice(numbers(), count):
         if not capture.grab():
+            if count is None:
+                return
             raise InputError(f"{path}: expected {count} images{expected}, got {number}")
-        if number in times:
-            yield RecordedImage(number - first, times[number], partial(decoded_frame, path, capture, number))
+        time = time_of(number)
+        if time is not None:
+            yield RecordedImage(number - first, time, partial(decoded_frame, path, capture, number, window))
 
 
 def check_rate(path: Path, capture: Any, rate: float, why: str) -> None:

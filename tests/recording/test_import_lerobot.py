@@ -13,6 +13,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from helpers.commands import Ran, run_command
+from scipy.spatial.transform import RigidTransform
+
+from dvrk_cmaes import read_session
+from dvrk_cmaes.instrument.arm import base_from_root, root_from_tip
+from dvrk_cmaes.joints.names import OUTER_JOINTS
 
 KEY = "observation.images.left"
 NAMES = ["PSM1.outer_yaw", "psm1_pitch", *(f"psm1_joint_{k}" for k in range(3, 7)), "psm1_jaw", "psm2_yaw", "force"]
@@ -159,3 +164,36 @@ def test_paths_that_leave_the_folder_are_refused(imported: Import, made: Path, k
     file.write_text(json.dumps(info | {key: template.replace("{video_key}", KEY)}))
     said = imported().refusal
     assert f"info.json: {key}: expected a path within the folder, got " in said or "got a link that leaves it" in said
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        [*(f"psm1_pose.position.{a}" for a in "xyz"), *(f"psm1_pose.orientation.{a}" for a in "xyzw"), "psm1_jaw"],
+        [*(f"psm1_pos_{a}" for a in "xyz"), *(f"psm1_quat_{a}" for a in "xyzw"), "psm1_jaw"],
+    ],
+)
+@pytest.mark.parametrize("base", ["local", "base.yaml"])
+def test_joints_of_poses_are_found(imported: Import, made: Path, names: list[str], base: str) -> None:
+    table = next(path for path in sorted((made / "data").rglob("*.parquet")))
+    reference = RigidTransform.identity() if base == "local" else RigidTransform.from_exp_coords([0.3, 0, 0, 0.1, 0, 0])
+    columns = pq.read_table(table).to_pydict()
+    joints = [np.array([0.1, 0.2, 0.12, 0.4, 0.3, -0.2]) + 0.01 * k for k in columns["frame_index"]]
+    columns["observation.state"] = []
+    for own in joints:
+        pose = reference * RigidTransform.from_matrix(base_from_root(own[:4]) @ root_from_tip(*own[4:]))
+        columns["observation.state"].append([*pose.translation.tolist(), *pose.rotation.as_quat().tolist(), 0.5])
+    write_table(table, columns)
+    write_info(made, json.loads((made / "meta/info.json").read_text())["codebase_version"], names)
+    rows = "\n".join(f"  - {row}" for row in reference.as_matrix().tolist())
+    Path("base.yaml").write_text(f"measured_cp:\n{rows}\n")
+    more = () if base == "local" else ("--pose-of", "tip", "--pose-base", base)
+    ran = imported("--arm", "PSM1", "--camera", "camera.yaml", *more)
+    assert ran.code == 0, ran.err
+    said = " ".join(ran.out.split())
+    assert "inverse kinematics of poses of the tip" in said
+    assert names[0] in said
+    assert ("--pose-base says otherwise" in said) == (base == "local")
+    for files, own in zip(read_session("session").frames, joints, strict=False):
+        expected = dict(zip((*OUTER_JOINTS, "wrist_pitch", "wrist_yaw", "jaw"), (*own, 0.5), strict=True))
+        assert files.readings == pytest.approx(expected, abs=1e-6)
