@@ -19,6 +19,7 @@ from dvrk_cmaes import (
     InputError,
     Result,
     Session,
+    estimate,
     read_frame,
     read_session,
 )
@@ -140,8 +141,10 @@ def test_image_without_instrument_is_refused(bundled_body: Body, session: Sessio
         f"{tmp_path / 'wall.png'}: no instrument found in the image; "
         "a mask, a box or a point on the instrument would help"
     )
-    with pytest.raises(InputError, match=r"frame wall: expected a mask, got .*wall\.png"):
-        read_frame(files, session.camera)
+    read = read_frame(files, session.camera)
+    assert not read.views[0].given
+    with pytest.raises(InputError, match="mask"):
+        estimate(read.mask, read.camera, instrument=bundled_body)
 
 
 @pytest.mark.parametrize("frame", ["medium/0240"])
