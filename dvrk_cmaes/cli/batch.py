@@ -15,14 +15,11 @@ from dvrk_cmaes.cli.options import (
     MOST_WORKERS,
     OUTPUT,
     CalibrationOptions,
-    CameraOptions,
-    ConfigOption,
     Flag,
-    InstrumentOptions,
-    MethodOptions,
     PromptOptions,
     ReadingOptions,
     SegmentOptions,
+    SessionOptions,
     check_range,
     parse_pixel,
 )
@@ -70,9 +67,6 @@ class BatchOptions:
         10,20,30, a colour such as '#00ff00', or any, for all values but 0. They are in masks or else in labels.
     pick
         Pixel u,v on the instrument in all frames: use only the connected region of the mask, or of the label, there.
-    only
-        Arm of a session.toml with several tools: estimate this one only; by default all of them. May be given several
-        times.
     workers
         Number of worker processes; by default the number of cores.
     scheduler
@@ -90,7 +84,6 @@ class BatchOptions:
     joints: Annotated[tuple[Path, ...], Parameter(negative=(), show_default=False)] = ()
     label: str | None = None
     pick: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
-    only: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)] = ()
     workers: int | None = None
     scheduler: str | None = None
     time_limit: float = 600.0
@@ -158,9 +151,7 @@ def batch(
     wanted: BatchOptions = BatchOptions(),
     calibrated: CalibrationOptions = CalibrationOptions(),
     reading: ReadingOptions = ReadingOptions(),
-    camera: CameraOptions = CameraOptions(),
-    instrument: InstrumentOptions = InstrumentOptions(),
-    config: ConfigOption = None,
+    given: SessionOptions = SessionOptions(),
     segment: SegmentOptions = SegmentOptions(),
     prompts: PromptOptions = PromptOptions(),
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
@@ -197,13 +188,8 @@ def batch(
         that does not explain the mask.
     reading
         How files of readings are read.
-    camera
-        Camera to use instead of the session's own.
-    instrument
-        The instrument.
-    config
-        Settings file (TOML) with the keys of a result's `config`; `dvrk-cmaes help settings` lists them. Each worker
-        uses one thread unless the file says otherwise.
+    given
+        Arms, camera, instrument and settings. Each worker uses one thread unless the settings file says otherwise.
     segment
         Segmentation of the images of frames without a mask.
     prompts
@@ -212,12 +198,13 @@ def batch(
         Print only summary.json, on stdout.
     """
     wanted.check()
-    settings, by = MethodOptions(config=config).resolve(), {"count": wanted.workers, "time_limit": wanted.time_limit}
+    settings, by = given.settings(), {"count": wanted.workers, "time_limit": wanted.time_limit}
     with output_folder(wanted.out, session, "results", "batch") as results:
-        more: dict[str, Any] = {"labelled": wanted.label is not None, "check": calibrated.check_for}
-        read = read_arms(session, camera, instrument, wanted.only, joints=wanted.joints, reading=reading, **more)
+        labelled = wanted.label is not None
+        read = read_arms(session, given, joints=wanted.joints, reading=reading, labelled=labelled)
+        calibrated.check_for(read)
         arms = {name: wanted.with_masks(arm, prompts) for name, arm in read.items()}
-        known = {name: calibrated.read(arm.body, instrument.arm, arm.arm) for name, arm in arms.items()}
+        known = {name: calibrated.read(arm.body, given.instrument.arm, arm.arm) for name, arm in arms.items()}
         finished: dict[str, BatchSummary] = {}
         for name, arm in arms.items():
             finished[name] = done = estimated(

@@ -19,11 +19,8 @@ from dvrk_cmaes.cli.options import (
     MOST_WORKERS,
     OUTPUT,
     WORKERS,
-    ConfigOption,
     Flag,
-    GuessedCameraOptions,
-    InstrumentOptions,
-    MethodOptions,
+    GuessedSessionOptions,
     ReadingOptions,
     check_range,
 )
@@ -64,9 +61,6 @@ class CalibrateOptions:
         Folder for session.json, the frames' results and the HTML report; SESSION/calibration by default.
     joints
         File of readings to use instead of the session's own. May be given several times.
-    only
-        Arm of a session.toml with several tools: calibrate this one only; by default all of them, each in OUT/ARM, and
-        the poses of their bases relative to the first one's in OUT/arms.json. May be given several times.
     frames
         Calibrate only the frames whose names match this shell pattern, e.g. "00*", as of batch; all by default.
     keyframes
@@ -86,7 +80,6 @@ class CalibrateOptions:
     results: Path | None = None
     out: Path | None = None
     joints: Annotated[tuple[Path, ...], Parameter(negative=(), show_default=False)] = ()
-    only: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)] = ()
     frames: str | None = None
     keyframes: int | None = None
     lag: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
@@ -109,11 +102,10 @@ class CalibrateOptions:
         chosen = replace(arm.session, frames=chosen_frames(arm.session.frames, self.frames))
         return replace(arm, session=chosen if self.keyframes is None else with_keyframes(chosen, self.keyframes))
 
-    def settings(self, config: Path | None) -> EstimateConfig:
-        """Return the settings, those of keyframes where a recording is calibrated."""
+    def settings(self, settings: EstimateConfig) -> EstimateConfig:
+        """Return settings as they are, or those of keyframes where a recording is calibrated."""
         from dvrk_cmaes.track.keyframe_problem import solved_with
 
-        settings = MethodOptions(config=config).resolve()
         return settings if self.keyframes is None else solved_with(settings)
 
     def asked_lag(self) -> Lag | Literal["auto"] | None:
@@ -129,9 +121,7 @@ def calibrate(
     *,
     wanted: CalibrateOptions = CalibrateOptions(),
     reading: ReadingOptions = ReadingOptions(),
-    camera: GuessedCameraOptions = GuessedCameraOptions(),
-    instrument: InstrumentOptions = InstrumentOptions(),
-    config: ConfigOption = None,
+    given: GuessedSessionOptions = GuessedSessionOptions(),
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
     """Calibrate a session: estimate the pose of the arm's base in the camera and the offset of each joint's readings.
@@ -159,12 +149,9 @@ def calibrate(
         What is solved together, and where results go.
     reading
         How files of readings are read.
-    camera
-        Camera to use instead of the session's own. Without any, it is found as by --refine-camera.
-    instrument
-        The instrument, and the arm that carries it.
-    config
-        Settings file (TOML) with the keys of a result's `config`; `dvrk-cmaes help settings` lists them.
+    given
+        The arms, the camera, the instrument and the settings. The poses of several arms' bases relative to the first
+        one's are in OUT/arms.json.
     json
         Print only session.json, on stdout.
     """
@@ -177,10 +164,8 @@ def calibrate(
 
     wanted.check(session / "calibration" if wanted.out is None else wanted.out)
     with output_folder(wanted.out, session, "calibration", "calibrate") as target:
-        settings, lag, setup = wanted.settings(config), wanted.asked_lag(), read_setup_joints(session / SETUP)
-        read = read_arms(
-            session, camera, instrument, wanted.only, guess=camera.guess, joints=wanted.joints, reading=reading
-        )
+        settings, lag, setup = wanted.settings(given.settings()), wanted.asked_lag(), read_setup_joints(session / SETUP)
+        read = read_arms(session, given, joints=wanted.joints, reading=reading)
         arms = {name: wanted.share(arm) for name, arm in read.items()}
         for name, arm in arms.items():
             check_outer_joints([files.readings for files in arm.session.frames])

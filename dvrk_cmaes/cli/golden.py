@@ -16,6 +16,7 @@ from dvrk_cmaes.cli.options import (
     Flag,
     InstrumentOptions,
     MethodOptions,
+    SessionOptions,
 )
 from dvrk_cmaes.cli.session_tools import read_arms
 from dvrk_cmaes.cli.terminal import DOUBTFUL, FAILED, STATUS_STYLES, Line, answer, table_lines, tracked, warn
@@ -132,7 +133,7 @@ def record(
         raise InputError(f"{path}: expected no file yet, got one; --overwrite replaces it")
     check_writable(path.parent)
     config = method.resolve()
-    (arm,) = read_arms(session, camera, instrument, single=True).values()
+    (arm,) = read_arms(session, SessionOptions(camera=camera, instrument=instrument), single=True).values()
     frames, model = arm.session.frames, arm.body.instrument
     kept: dict[str, FrameTruth] = {}
     left_out: dict[str, str] = {}
@@ -197,7 +198,7 @@ def check(
     most, config = tolerance.resolve(), method.resolve()
     path = session / "golden.json" if golden is None else golden
     kept = read_golden(path).frames
-    (arm,) = read_arms(session, camera, instrument, single=True).values()
+    (arm,) = read_arms(session, SessionOptions(camera=camera, instrument=instrument), single=True).values()
     _check_names(path, kept, arm.session)
     frames = [files for files in arm.session.frames if files.name in kept]
     results = tracked(_estimated(frames, arm, config), "Estimating", len(frames))

@@ -76,6 +76,11 @@ class CameraOptions:
     rectified: Flag = False
     side: Literal["left", "right"] = "left"
 
+    @property
+    def guess(self) -> float | Literal["usual"] | None:
+        """The camera to use where there is no file; None if a file is needed."""
+        return None
+
 
 @Parameter(name="*", group=CAMERA)
 @dataclass(frozen=True, kw_only=True)
@@ -316,6 +321,48 @@ class MethodOptions:
         check_range("--threads", self.threads, 1, MOST_THREADS)
         given = {name: value for name in ("seed", "threads") if (value := getattr(self, name)) is not None}
         return replace(settings, **given)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class SessionOptions:
+    """Options of the session that a command works on.
+
+    Parameters
+    ----------
+    only
+        Arm of a session.toml with several tools: this one only; by default all of them, with the results of each in
+        OUT/ARM. May be given several times.
+    camera
+        Camera to use instead of the session's own.
+    instrument
+        The instrument, and the arm that carries it.
+    config
+        Settings file (TOML) with the keys of a result's `config`; `dvrk-cmaes help settings` lists them.
+    """
+
+    only: Annotated[tuple[str, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = ()
+    camera: CameraOptions = CameraOptions()
+    instrument: InstrumentOptions = InstrumentOptions()
+    config: ConfigOption = None
+
+    def settings(self) -> EstimateConfig:
+        """Return the settings of the settings file; InputError if one is not valid."""
+        return MethodOptions(config=self.config).resolve()
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class GuessedSessionOptions(SessionOptions):
+    """Options of a session whose camera may be without a file.
+
+    Parameters
+    ----------
+    camera
+        Camera to use instead of the session's own. Without any, it is found as by --refine-camera.
+    """
+
+    camera: GuessedCameraOptions = GuessedCameraOptions()
 
 
 @Parameter(name="*", group=SEGMENT)

@@ -13,6 +13,7 @@ from dvrk_cmaes.cli.options import (
     OUTPUT,
     CameraOptions,
     InstrumentOptions,
+    SessionOptions,
 )
 from dvrk_cmaes.cli.session_tools import read_arms
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, exit_code, show
@@ -70,7 +71,7 @@ def pnp(
     from dvrk_cmaes.io.output import output
     from dvrk_cmaes.results.paths import check_output, result_path
 
-    (arm,) = read_arms(session, camera, instrument, single=True).values()
+    (arm,) = read_arms(session, SessionOptions(camera=camera, instrument=instrument), single=True).values()
     for frame in arm.session.frames:
         check_output(out, frame.name)
     with output(out, "pnp") as own:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from dvrk_cmaes.cli.options import TWIN, ReadingOptions, joint_files, load_tool
 from dvrk_cmaes.cli.terminal import Line, answer, frames_text, note, show, warn
@@ -15,7 +15,7 @@ from dvrk_cmaes.io.short_text import listed, no_folder
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
-    from dvrk_cmaes.cli.options import CameraOptions, InstrumentOptions
+    from dvrk_cmaes.cli.options import InstrumentOptions, SessionOptions
     from dvrk_cmaes.frames.session_toml import ToolEntry
     from dvrk_cmaes.frames.video_frames import Video
     from dvrk_cmaes.geometry import Float64
@@ -25,28 +25,23 @@ if TYPE_CHECKING:
 
 def read_arms(
     folder: Path,
-    camera: CameraOptions,
-    instrument: InstrumentOptions,
-    only: Sequence[str] = (),
+    given: SessionOptions,
     *,
     single: bool = False,
-    check: Callable[[Collection[str]], None] = lambda arms: None,
-    guess: float | Literal["usual"] | None = None,
     joints: Sequence[Path] | None = (),
     reading: ReadingOptions = ReadingOptions(),
     video: Video | None = None,
     labelled: bool = False,
     ahead: bool = True,
 ) -> dict[str, ArmInSession]:
-    """Load the instruments of a session's arms, or of those ``only``, and read what each sees, by subfolder of results.
+    """Load the instruments of a session's arms, or of those asked for, and read what each sees, by folder of results.
 
     That is the arm's name, or "" if the session has one tool: its results are in the folder itself. What session.toml
     says counts where the command line says nothing.
 
-    ``single``: whether the command works on one arm. ``check`` is called with the arms before they are read. ``guess``
-    is the camera where there is no file; without it a file is needed. ``joints`` and ``video`` are as in
-    `read_session`. ``labelled``: whether masks of labels may be in the folder labels, as they may where session.toml
-    names a label. With ``ahead``, texts and borders over the images are looked for.
+    ``single``: whether the command works on one arm. ``joints`` and ``video`` are as in `read_session`. ``labelled``:
+    whether masks of labels may be in the folder labels, as they may where session.toml names a label. With ``ahead``,
+    texts and borders over the images are looked for.
 
     Raises
     ------
@@ -55,20 +50,19 @@ def read_arms(
     """
     from dvrk_cmaes.frames.session_toml import SESSION_FILE, ToolEntry, read_session_toml
 
-    entries = read_session_toml(folder)
+    entries, only, camera = read_session_toml(folder), given.only, given.camera
     if only and not entries.tools:
         raise InputError(f"--only: expected a session.toml that names arms in {folder}, got none")
     chosen = [entries.tool(arm) for arm in only] or entries.tools or (ToolEntry(""),)
     if single and len(chosen) > 1:
         raise InputError(f"{folder / SESSION_FILE}: tool: expected one, got {', '.join(tool.arm for tool in chosen)}")
-    check([tool.arm for tool in chosen])
     labels = folder / "labels"
     asked: dict[str, Any] = {
         "camera": camera.camera,
         "rectified": camera.rectified,
         "side": camera.side,
         "video": video,
-        "focal": guess,
+        "focal": camera.guess,
         "masks": labels if labelled and labels.is_dir() and not (folder / "masks").exists() else None,
     }
     found = {}
@@ -76,7 +70,9 @@ def read_arms(
         arm = tool.arm or None
         asked["joints"] = None if joints is None else joint_files(joints, arm)
         asked["read_as"] = reading.read_as(arm)
-        found[tool.arm if len(entries.tools) > 1 else ""] = _read_arm(folder, instrument, tool, asked, ahead=ahead)
+        found[tool.arm if len(entries.tools) > 1 else ""] = _read_arm(
+            folder, given.instrument, tool, asked, ahead=ahead
+        )
     return found
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,7 +14,6 @@ from cyclopts import Parameter
 from dvrk_cmaes.cli.options import (
     AUTO,
     FOLDER,
-    METHOD,
     MOST_SKIPPED,
     MOST_WORKERS,
     NO_READINGS,
@@ -22,9 +21,8 @@ from dvrk_cmaes.cli.options import (
     CalibrationOptions,
     CameraOptions,
     Flag,
-    InstrumentOptions,
-    MethodOptions,
     PromptOptions,
+    SessionOptions,
     check_range,
 )
 from dvrk_cmaes.cli.session_tools import answer_by_arm, output_folder, read_arms, reason_lines, write_bases
@@ -68,9 +66,6 @@ class TrackOptions:
         Follow only every N-th frame.
     joints
         File of readings to use instead of the session's own, or none: follow by masks alone.
-    only
-        Arm of a session.toml with several tools: follow this one only; by default all of them. May be given several
-        times.
     lag
         Lag of the images behind the readings, in seconds or frames, such as 0.13 or 4frames. auto: that of --session,
         or found while following.
@@ -101,7 +96,6 @@ class TrackOptions:
     out: Path | None = None
     every: int = 1
     joints: str | None = None
-    only: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)] = ()
     lag: Annotated[str, Parameter(allow_leading_hyphen=True)] = AUTO
     fps: float = 30.0
     causal: Flag = False
@@ -185,9 +179,7 @@ def track(
     follow: TrackOptions = TrackOptions(),
     place: PromptOptions = PromptOptions(),
     calibrated: CalibrationOptions = CalibrationOptions(),
-    camera: CameraOptions = CameraOptions(),
-    instrument: InstrumentOptions = InstrumentOptions(),
-    config: Annotated[Path | None, Parameter(group=METHOD)] = None,
+    given: SessionOptions = SessionOptions(),
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
     """Follow an instrument through the consecutive frames of a session or a video, by masks or images, and readings.
@@ -223,30 +215,22 @@ def track(
         what boxes.csv says of it.
     calibrated
         A calibration that is used instead of the keyframes' solution; with --causal, from the first frame on.
-    camera
-        Camera to use instead of the session's own.
-    instrument
-        The instrument, and the arm that carries it.
-    config
-        Settings file (TOML); `dvrk-cmaes help settings` lists its keys, of which those of [track] are of this command.
+    given
+        The arms, the camera, the instrument and the settings, of which those of [track] are of this command.
     json
         Print only the numbers of frames by status, as JSON, on stdout.
     """
     follow.check()
     with output_folder(follow.out, session if session.is_dir() else session.parent, "tracks", "track") as target:
-        folder, video = _session_of(session, follow, target, camera)
+        folder, video = _session_of(session, follow, target, given.camera)
         files = (() if follow.readings is None else (follow.readings,)) if follow.joints != NO_READINGS else None
 
-        def check(names: Collection[str]) -> None:
-            calibrated.check_for(names)
-            if len(names) > 1:
-                follow.check_for_several(place)
-
-        read = read_arms(
-            folder, camera, instrument, follow.only, joints=files, video=video, ahead=not follow.causal, check=check
-        )
-        method = MethodOptions(config=config).resolve()
-        known = {name: calibrated.read(arm.body, instrument.arm, arm.arm) for name, arm in read.items()}
+        read = read_arms(folder, given, joints=files, video=video, ahead=not follow.causal)
+        calibrated.check_for(read)
+        if len(read) > 1:
+            follow.check_for_several(place)
+        method = given.settings()
+        known = {name: calibrated.read(arm.body, given.instrument.arm, arm.arm) for name, arm in read.items()}
         arms = {name: follow.arm(name, arm, target, place, method, known[name]) for name, arm in read.items()}
         finished = _followed(arms)
         interrupted = len(finished) < len(arms) or any(arm.interrupted for arm in finished.values())

@@ -17,7 +17,7 @@ from helpers.stereo_sessions import make_session_of_two_tools
 from helpers.transforms import moved
 
 from dvrk_cmaes import Body
-from dvrk_cmaes.cli.options import CameraOptions, InstrumentOptions
+from dvrk_cmaes.cli.options import SessionOptions
 from dvrk_cmaes.cli.session_tools import read_arms
 from dvrk_cmaes.instrument.setup_joints import setup_text
 
@@ -38,15 +38,14 @@ def folder(tmp_path: Path, bundled_body: Body) -> Path:
 
 def test_tools_are_named_by_the_folders_of_their_results(folder: Path) -> None:
     """Those of the only tool of a session are in the output folder itself, whether or not session.toml names it."""
-    named = CameraOptions(), InstrumentOptions()
-    assert list(read_arms(folder, *named)) == ["PSM1", "PSM2"]
-    assert list(read_arms(folder, *named, ["PSM2"])) == ["PSM2"]
+    assert list(read_arms(folder, SessionOptions())) == ["PSM1", "PSM2"]
+    assert list(read_arms(folder, SessionOptions(only=("PSM2",)))) == ["PSM2"]
     text = (folder / "session.toml").read_text(encoding="utf-8")
     (folder / "session.toml").write_text(text[: text.rindex("[[tool]]")], encoding="utf-8")
-    ((name, arm),) = read_arms(folder, *named).items()
+    ((name, arm),) = read_arms(folder, SessionOptions()).items()
     assert (name, arm.arm) == ("", "PSM1")
     (folder / "session.toml").unlink()
-    ((name, arm),) = read_arms(folder, *named).items()
+    ((name, arm),) = read_arms(folder, SessionOptions()).items()
     assert (name, arm.arm) == ("", "")
 
 
