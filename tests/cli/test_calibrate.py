@@ -68,7 +68,7 @@ def test_doubtful_frames_are_named(calibrated: Path) -> None:
     doubtful = {name: replace(folder.frames[name], status="doubtful", reasons=("mode in doubt", "tips not accurate"))}
     solved = SolvedSession(read_calibration(calibrated / "session.json"), {**folder.frames, **doubtful}, {})
     lines = [line.text for line in _lines(solved, calibrated)]
-    assert f"doubtful: {name}: mode in doubt; tips not accurate" in lines
+    assert f"  mode in doubt: 1 frame ({name})" in lines
     assert f"1 of {len(folder.frames)} frames are doubtful" in lines
 
 

@@ -112,7 +112,7 @@ def test_one_arm_can_be_chosen(two_arms: Path, tmp_path: Path, quick: Path, caps
     [
         (("--first-mask", "a.png"), "--first-mask: expected one arm (--only ARM), got a session of several"),
         (("--box", "1,2,30,40"), "--box, --point: expected one arm (--only ARM)"),
-        (("--joints", "a.csv"), "--joints FILE: expected one arm (--only ARM)"),
+        (("--joints", "joints_PSM1.csv"), "--joints FILE: expected one arm (--only ARM)"),
         (
             ("--session", "session.json"),
             "--session: expected the folder that calibrate wrote, with a session.json for each arm, got ",
@@ -123,4 +123,5 @@ def test_one_arm_can_be_chosen(two_arms: Path, tmp_path: Path, quick: Path, caps
 def test_options_of_one_arm_are_refused(
     two_arms: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], expected: str
 ) -> None:
-    assert expected in run_command(capsys, "track", two_arms, "--out", tmp_path / "out", *options).refusal
+    files = [two_arms / option if option.endswith("1.csv") else option for option in options]
+    assert expected in run_command(capsys, "track", two_arms, "--out", tmp_path / "out", *files).refusal
