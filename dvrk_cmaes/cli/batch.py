@@ -16,7 +16,6 @@ from dvrk_cmaes.cli.options import (
     OUTPUT,
     CalibrationOptions,
     Flag,
-    PromptOptions,
     ReadingOptions,
     SegmentOptions,
     SessionOptions,
@@ -96,7 +95,7 @@ class BatchOptions:
         check_range("--workers", self.workers, 1, MOST_WORKERS)
         check_range("--time-limit", self.time_limit, 1e-3, _LONGEST_FRAME, "seconds")
 
-    def with_masks(self, arm: ArmInSession, prompts: PromptOptions) -> ArmInSession:
+    def with_masks(self, arm: ArmInSession, prompts: SegmentOptions) -> ArmInSession:
         """Return an arm's session with the label of the instrument in the masks, and prompts where there is no mask."""
         from dvrk_cmaes.frames.label import parse_label
 
@@ -107,8 +106,8 @@ class BatchOptions:
         if self.pick is not None:
             pick = parse_pixel("pick", self.pick)
             session = replace(session, frames=tuple(replace(files, pick=pick) for files in session.frames))
-        if prompts != PromptOptions():
-            session = session.with_prompts(prompts.resolve())
+        if any((prompts.box, prompts.point, prompts.not_point)):
+            session = session.with_prompts(prompts.hints())
         return replace(arm, session=session)
 
 
@@ -153,7 +152,6 @@ def batch(
     reading: ReadingOptions = ReadingOptions(),
     given: SessionOptions = SessionOptions(),
     segment: SegmentOptions = SegmentOptions(),
-    prompts: PromptOptions = PromptOptions(),
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
     """Estimate all frames of a session folder, and write a result and an overlay of each, tables and an HTML report.
@@ -191,9 +189,7 @@ def batch(
     given
         Arms, camera, instrument and settings. Each worker uses one thread unless the settings file says otherwise.
     segment
-        Segmentation of the images of frames without a mask.
-    prompts
-        Prompts for the segmentation of all frames without a mask and without a row in the session's boxes.csv.
+        Segmentation of the images of frames without a mask, with prompts for those without a row in boxes.csv.
     json
         Print only summary.json, on stdout.
     """
@@ -203,7 +199,7 @@ def batch(
         labelled = wanted.label is not None
         read = read_arms(session, given, joints=wanted.joints, reading=reading, labelled=labelled)
         calibrated.check_for(read)
-        arms = {name: wanted.with_masks(arm, prompts) for name, arm in read.items()}
+        arms = {name: wanted.with_masks(arm, segment) for name, arm in read.items()}
         known = {name: calibrated.read(arm.body, given.instrument.arm, arm.arm) for name, arm in arms.items()}
         finished: dict[str, BatchSummary] = {}
         for name, arm in arms.items():

@@ -17,7 +17,6 @@ from dvrk_cmaes.cli.options import (
     Flag,
     FrameCameraOptions,
     MethodOptions,
-    PromptOptions,
     ReadingOptions,
     SegmentOptions,
     UrdfOptions,
@@ -159,8 +158,7 @@ class FrameOptions:
 def estimate(
     *,
     given: FrameOptions = FrameOptions(),
-    model: SegmentOptions = SegmentOptions(),
-    prompts: PromptOptions = PromptOptions(),
+    segment: SegmentOptions = SegmentOptions(),
     calibrated: CalibrationOptions = CalibrationOptions(),
     reading: ReadingOptions = ReadingOptions(),
     camera: FrameCameraOptions = FrameCameraOptions(),
@@ -192,10 +190,8 @@ def estimate(
     ----------
     given
         The frame.
-    model
+    segment
         Segmentation of the image.
-    prompts
-        Prompts for the segmentation.
     calibrated
         A calibration that is used: start from the pose that it predicts, and search globally only if that pose does not
         explain the mask. If it has a lag between images and readings, files of readings are read at the frame's time
@@ -214,7 +210,7 @@ def estimate(
     json
         Print only the result, as JSON, on stdout.
     """
-    given.check(segmented=(prompts, model) == (PromptOptions(), SegmentOptions()))
+    given.check(segmented=segment == SegmentOptions())
     from dvrk_cmaes.estimation.one_tool import FrameMethod
     from dvrk_cmaes.frames.frame import read_frame
     from dvrk_cmaes.results.paths import mask_path, overlay_path, result_path
@@ -238,8 +234,8 @@ def estimate(
     readings, notes, _ = given.readings(body.instrument.joint_names, lag, reading.read_as(given.only))
     files = replace(files, readings=readings)
     data = replace(data, notes=(*camera_file.notes, *notes, *data.notes))
-    shown = hints_within(prompts.resolve(), files.crop)
-    solved_as = FrameMethod(instrument.kinematics, settings, known, model.resolve(), shown)
+    shown = hints_within(segment.hints(), files.crop)
+    solved_as = FrameMethod(instrument.kinematics, settings, known, segment.resolve(), shown)
     result, written = run_frame(files, data, body, solved_as, out)
     for text in dict.fromkeys((*result.remarks, *result.warnings)):
         warn(text)

@@ -367,8 +367,42 @@ class GuessedSessionOptions(SessionOptions):
 
 @Parameter(name="*", group=SEGMENT)
 @dataclass(frozen=True, kw_only=True)
-class SegmentOptions:
-    """Options of the segmentation of images without a mask.
+class PromptOptions:
+    """Optional prompts, which state where the instrument is in the image.
+
+    Parameters
+    ----------
+    box
+        Box around the instrument, x0,y0,x1,y1 in pixels.
+    point
+        Pixel u,v on the instrument. May be given several times.
+    not_point
+        Pixel u,v that is not on the instrument. May be given several times.
+    """
+
+    box: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    point: Pixels = ()
+    not_point: Pixels = ()
+
+    def hints(self) -> Hints:
+        """Return the prompts as numbers; InputError if one is not valid."""
+        from dvrk_cmaes.segment.segmentation import Hints
+
+        box = None
+        if self.box is not None:
+            left, top, right, bottom = _numbers("box", self.box, "x0,y0,x1,y1 in pixels", 4)
+            box = (left, top, right, bottom)
+        on, off = (
+            tuple(parse_pixel(name, text) for text in given)
+            for name, given in (("point", self.point), ("not-point", self.not_point))
+        )
+        return Hints(box, on, off)
+
+
+@Parameter(name="*", group=SEGMENT)
+@dataclass(frozen=True, kw_only=True)
+class SegmentOptions(PromptOptions):
+    """Options of the segmentation of images without a mask, with prompts.
 
     Parameters
     ----------
@@ -391,40 +425,6 @@ class SegmentOptions:
         if self.model == "classic" and self.weights is not None:
             raise InputError("--weights: --model classic has none; expected them only with --model sam2")
         return SegmentSettings(self.model, None if self.weights is None else self.weights.absolute())
-
-
-@Parameter(name="*", group=SEGMENT)
-@dataclass(frozen=True, kw_only=True)
-class PromptOptions:
-    """Optional prompts, which state where the instrument is in the image.
-
-    Parameters
-    ----------
-    box
-        Box around the instrument, x0,y0,x1,y1 in pixels.
-    point
-        Pixel u,v on the instrument. May be given several times.
-    not_point
-        Pixel u,v that is not on the instrument. May be given several times.
-    """
-
-    box: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
-    point: Pixels = ()
-    not_point: Pixels = ()
-
-    def resolve(self) -> Hints:
-        """Return the prompts as numbers; InputError if one is not valid."""
-        from dvrk_cmaes.segment.segmentation import Hints
-
-        box = None
-        if self.box is not None:
-            left, top, right, bottom = _numbers("box", self.box, "x0,y0,x1,y1 in pixels", 4)
-            box = (left, top, right, bottom)
-        on, off = (
-            tuple(parse_pixel(name, text) for text in given)
-            for name, given in (("point", self.point), ("not-point", self.not_point))
-        )
-        return Hints(box, on, off)
 
 
 @Parameter(name="*", group=METHOD)

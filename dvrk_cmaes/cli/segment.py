@@ -14,7 +14,6 @@ from dvrk_cmaes.cli.options import (
     OUTPUT,
     SEGMENT,
     Flag,
-    PromptOptions,
     SegmentOptions,
     check_range,
 )
@@ -30,7 +29,6 @@ def segment(
     /,
     *,
     model: SegmentOptions = SegmentOptions(),
-    prompts: PromptOptions = PromptOptions(),
     instrument: Annotated[str, Parameter(group=SEGMENT)] = "lnd",
     threads: Annotated[int, Parameter(group=OUTPUT)] = 2,
     out: Annotated[Path, Parameter(group=OUTPUT)] = Path("dvrk-cmaes-masks"),
@@ -62,9 +60,7 @@ def segment(
     source
         Image (PNG or JPEG), session folder, or folder of images.
     model
-        The segmentation model.
-    prompts
-        Prompts; in a folder, the same for every image.
+        The segmentation model, and prompts; in a folder, the same for every image.
     instrument
         Name of a bundled instrument, or path of a URDF.
     threads
@@ -84,7 +80,7 @@ def segment(
     from dvrk_cmaes.runs.backgrounds import learned_backgrounds
     from dvrk_cmaes.silhouette.prepare import prepare
 
-    hints = prompts.resolve()
+    hints = model.hints()
     prepare(instrument)  # before any image is read, and cached
     cv2.setNumThreads(threads)
     single = not source.is_dir()

@@ -163,7 +163,7 @@ class TrackOptions:
             use_joints=self.joints != NO_READINGS,
             frames_a_second=self.fps,
             evidence=evidence,
-            hints=hints or hints_within(place.resolve(), used.frames[0].crop),
+            hints=hints or hints_within(place.hints(), used.frames[0].crop),
             **{field: getattr(self, field) for field in same},
         )
         notice = note if not name else lambda text: note(f"{name}: {text}")
