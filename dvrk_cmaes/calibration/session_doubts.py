@@ -20,6 +20,9 @@ from dvrk_cmaes.results.tracked import TrackResult
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
 
+_NEAR_IN_DOUBT = 0.6
+"""Share of tips within 1.8 mm of the truth in doubtful sessions: 47 of 80 of `scripts/measure.py --falsify inputs`."""
+
 R = TypeVar("R", bound=Result | TrackResult)
 
 PREDICTS_BADLY: Final = "this calibration predicts frames badly that it has not seen"
@@ -188,6 +191,8 @@ def offsets_beyond_cables(calibration: SessionCalibration) -> list[str]:
 def resting_on(result: R, calibration: SessionCalibration | None) -> R:
     """Return a result with the remarks of the session that it rests on; doubtful for the reasons for which that is.
 
+    The stated probability of its tips is then that in doubtful sessions.
+
     Parameters
     ----------
     result
@@ -200,6 +205,8 @@ def resting_on(result: R, calibration: SessionCalibration | None) -> R:
     remarks = tuple(dict.fromkeys((*result.remarks, *calibration.remarks)))
     doubts = tuple(dict.fromkeys((*(f"session: {text}" for text in calibration.doubts), *result.reasons)))
     result = replace(result, reasons=doubts, remarks=remarks)
+    if calibration.doubts and result.tip_probability is not None:
+        result = replace(result, tip_probability=_NEAR_IN_DOUBT * result.tip_probability)
     return replace(result, status="doubtful") if calibration.doubts and result.status == "ok" else result
 
 

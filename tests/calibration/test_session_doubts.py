@@ -147,13 +147,14 @@ def test_known_mistake_of_the_camera_file_is_a_doubt_unless_another_camera_is_us
 
 def test_results_that_rest_on_a_doubtful_session_are_doubtful_for_its_reasons() -> None:
     (good,) = solved(("0000",))
-    good = replace(good, status="ok", reasons=(), remarks=("camera file: unusual",))
+    good = replace(good, status="ok", reasons=(), remarks=("camera file: unusual",), tip_probability=0.9)
     followed = TrackResult(0.0, "ok", (), np.eye(4), {}, None, None, None)
     lost = replace(followed, status="lost", reasons=("lost: the mask is empty",))
     doubtful = session(doubts=("the camera file is contradicted",), remarks=("lag: taken out",))
     of_frame, of_image, of_lost = (resting_on(one, doubtful) for one in (good, followed, lost))
     assert (of_frame.status, of_frame.reasons) == ("doubtful", ("session: the camera file is contradicted",))
     assert of_frame.remarks == ("camera file: unusual", "lag: taken out")
+    assert of_frame.tip_probability == pytest.approx(0.6 * 0.9)
     assert (of_image.status, of_image.reasons) == ("doubtful", of_frame.reasons)
     assert (of_lost.status, of_lost.reasons) == ("lost", (*of_frame.reasons, *lost.reasons))
 
