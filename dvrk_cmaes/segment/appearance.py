@@ -8,9 +8,9 @@ little narrower. No colour is assumed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
-from typing import Final
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -28,13 +28,14 @@ _LEARNED: Final = 4000  # pixels from which bins are learned
 _BAND: Final = 0.0030  # m, width of the band around the silhouette
 _THIN: Final = 0.0004  # m, to either side of the outline, where edges are
 _USUAL: Final = 0.05  # of the image's longer side, width of a shaft, below which an instrument is less likely
-_WEIGHTS: Final = 2.5, 1.0, 0.25, 0.7, 1.0, 1.5, 1.5
-"""Of separation, edges of all and of wrist and jaws, ending, unlikeness, entry, and of a width that is not usual."""
+_WEIGHTS: Final = 2.5, 1.0, 0.25, 0.7, 1.0, 1.5, 1.5, 12.0
+"""Of separation from the surroundings (geometric mean of the shaft's and that of wrist and jaws), edges of all and of
+wrist and jaws, separation from what is beyond the tip, of wrist and jaws from the shaft, share of the shaft's width at
+the picture's border, logarithm of a width below the usual one, and of the share of what differs from a known background
+that a silhouette covers, less what else it covers."""
 _CLEAR: Final = 2.0  # mean edge, from which on a sharper one is no surer: blur differs between cameras
 _UNLIKE: Final = 0.3  # separation of wrist and jaws from the shaft, from which on more says nothing
 _BEYOND: Final = 0.008  # m along the shaft, by which the instrument is moved to see what is beyond its tip
-_BEFORE: Final = 12.0
-"""Weight of the share of what differs from a known background that a silhouette covers, less what else it covers."""
 _THICK: Final = 1.5  # px from the rim of what differs from a background, beyond which pixels count less
 _SMOOTHING: Final = 2.0  # pixels added to the bins of each histogram, as the whole picture has them
 _LEAST: Final = 1.5, 0.8, 6.0, 4.0
@@ -42,41 +43,16 @@ _LEAST: Final = 1.5, 0.8, 6.0, 4.0
 along the outline of all and of wrist and jaws, whose edges count fully, in widths."""
 
 
-@dataclass(frozen=True, eq=False)
-class Scores:
-    """Measures of C candidates, (C,) each.
+class Scores(NamedTuple):
+    """Measures of C candidates.
 
-    shaft, distal : separation from the band around it, 0 to 1, of the shaft, and of wrist and jaws.
-    edges, distal_edges : mean edge along the outline of all, and of wrist and jaws.
-    ending : separation, 0 to 1, of wrist and jaws from what is beyond their tip.
-    unlike : separation of wrist and jaws from the shaft, as a share of what is enough, 0 to 1.
-    entry : share of the shaft's width with which the instrument is at the picture's border, at most 1.
-    narrow : logarithm of the usual width of a shaft over this one's, at least 0.
-    before : sum of the log-odds in the silhouette by a known background, over the sum of all positive ones; 0 without.
+    total : the sum that ranks candidates, (C,). measures : those by which a candidate is believed, (C, 4): separation
+    of the shaft, and of wrist and jaws, from the band around it, 0 to 1; mean edge along the outline; and separation of
+    wrist and jaws from what is beyond their tip.
     """
 
-    shaft: Float64
-    distal: Float64
-    edges: Float64
-    distal_edges: Float64
-    ending: Float64
-    unlike: Float64
-    entry: Float64
-    narrow: Float64
-    before: Float64
-
-    @property
-    def total(self) -> Float64:
-        """Return the sum that ranks candidates, (C,)."""
-        separation, edges, distal, ending, unlike, entry, narrow = _WEIGHTS
-        found = separation * np.sqrt(self.shaft * self.distal) + edges * self.edges + distal * self.distal_edges
-        found = found + ending * self.ending + unlike * self.unlike
-        return np.asarray(found + entry * self.entry - narrow * self.narrow + _BEFORE * self.before)
-
-    @property
-    def measures(self) -> Float64:
-        """Return those measures by which a candidate is believed, (C, 4): both separations, edges, and the ending."""
-        return np.stack([self.shaft, self.distal, np.minimum(self.edges, _CLEAR), self.ending], axis=1)
+    total: Float64
+    measures: Float64
 
 
 class Appearance:
@@ -128,17 +104,23 @@ class Appearance:
         beyond = np.maximum(self._all.sums(moved, at.joints, self._bins, to_pixel=True)[:, :-2] - whole, 0)
         outlines = [renderer.sums(at.pose, at.joints, self._edges) for renderer in self._bounds]
         width = 2 * self._radius * self._focal / np.maximum(at.pose[:, 2, 3], 1e-3)
-        return Scores(
-            self._separation(shaft, around_shaft, _LEAST[0] * width**2),
-            self._separation(distal, around_distal, np.minimum(_LEAST[1] * width**2, around_distal.sum(axis=1))),
-            _mean(outlines[0] - outlines[1], _LEAST[2] * width),
+        few = _LEAST[1] * width**2
+        of_shaft = self._separation(shaft, around_shaft, _LEAST[0] * width**2)
+        of_distal = self._separation(distal, around_distal, np.minimum(few, around_distal.sum(axis=1)))
+        edges = _mean(outlines[0] - outlines[1], _LEAST[2] * width)
+        ending = self._separation(distal, beyond, np.minimum(few, beyond.sum(axis=1)))
+        parts = (
+            np.sqrt(of_shaft * of_distal),
+            edges,
             _mean(outlines[2] - outlines[3], _LEAST[3] * width),
-            self._separation(distal, beyond, np.minimum(_LEAST[1] * width**2, beyond.sum(axis=1))),
-            np.minimum(self._separation(distal, shaft, _LEAST[1] * width**2) / _UNLIKE, 1),
+            ending,
+            np.minimum(self._separation(distal, shaft, few) / _UNLIKE, 1),
             np.minimum(at_border / np.maximum(width, 1), 1),
-            np.maximum(np.log(_USUAL * self._longer / width), 0),
+            -np.maximum(np.log(_USUAL * self._longer / width), 0),
             before * self._before,
         )
+        total = sum(weight * part for weight, part in zip(_WEIGHTS, parts, strict=True))
+        return Scores(np.asarray(total), np.stack([of_shaft, of_distal, np.minimum(edges, _CLEAR), ending], axis=1))
 
     def _separation(self, inside: Float64, band: Float64, least: Float64) -> Float64:
         """Return the Jensen-Shannon divergence (C,), 0 to 1, of histograms (C, K), less for few pixels."""

@@ -203,8 +203,8 @@ def segmentation_around(
         return nothing_found(silhouette.shape)
     small, fixed = reduced(longest)
     measured = found.measured or measure_colours(np.ascontiguousarray(small[found.window]))
-    verdict = assess_mask(found.mask, found.window, found.by_colour, measured, prompts=fixed)
-    return Segmentation(resized(found.mask, (width, height)), verdict.confidence, verdict.notes)
+    judged = assess_mask(found.mask, found.window, found.by_colour, measured, prompts=fixed)
+    return Segmentation(resized(found.mask, (width, height)), *judged)
 
 
 def guide(image: Image) -> Float32:

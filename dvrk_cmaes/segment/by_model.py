@@ -8,8 +8,9 @@ Nothing is drawn by chance. The likelihood of a candidate is in `appearance`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import cv2
@@ -18,7 +19,7 @@ import numpy as np
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.frames.seen_view import overlap_of
 from dvrk_cmaes.geometry import Bool, Float32, Float64, Image, Posed, frame_along, rotation_about_z, transform
-from dvrk_cmaes.segment.appearance import Appearance
+from dvrk_cmaes.segment.appearance import Appearance, Scores
 from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.segmentation import GUESS
 from dvrk_cmaes.segment.shaft_pairs import Pair, find_pairs, pair_of_mask
@@ -79,23 +80,15 @@ _SHARED: Final = 0.25  # of the smaller silhouette, that two candidates of diffe
 class Candidate:
     """An instrument found in a picture: where it is, and its silhouette (h, w).
 
-    score : what the search makes large. measures : those of `appearance.Scores.measures`, (4,), and the margin of the
-    score over that of most places, from which its confidence follows. explained : with a known background, the share of
-    what differs from it there that the silhouette covers, less where the silhouette covers more; the confidence then.
+    score : what the search makes large. confidence : probability that it is an instrument, and this its silhouette, by
+    the measures of `appearance.Scores` and the margin of the score over that of most places; with a known background,
+    how well the silhouette explains what differs from it there.
     """
 
     at: Posed
     score: float
-    measures: Float64
+    confidence: float
     silhouette: Bool
-    explained: float | None = None
-
-    @property
-    def confidence(self) -> float:
-        """Probability that it is an instrument, and this its silhouette."""
-        if self.explained is not None:
-            return self.explained
-        return float(1 / (1 + np.exp(-(self.measures @ _LOG_ODDS[:-1] + _LOG_ODDS[-1]))))
 
 
 def assumed_camera(width: int, height: int) -> Camera:
@@ -153,7 +146,7 @@ def find_instruments(
         return _turns(counts[not bent], read, jaw, instrument.joint_names, bends if bent else np.zeros((1, 2)))
 
     def turned(at: Posed, by: Posed) -> tuple[Posed, Float64]:
-        found = _turned(at, by)
+        found = _turned(at.pose, by)
         return found, ranked.scores(found).total
 
     best = _best_along(axes, scored)
@@ -161,39 +154,39 @@ def find_instruments(
     tried, scored = tried[best], scored[best]
     renderer = Renderer(meshes[1], coarse, threads=1)
     every = turns(_ROLLS, _BENDS)
-    groups = _grouped(tried, scored, renderer, _TURNED // len(every.pose))
-    if not groups:
-        return []
+    best = np.argsort(-scored, kind="stable")[:_GROUPED].tolist()
+    tried, scored = tried[best], scored[best]
+    masks, apart = renderer.masks(tried.pose, tried.joints), _Apart(tried, coarse, 5.0)
     begin = []
-    for group in groups:
+    for group in _grouped(masks, scored, _GROUPS, _TURNED // len(every.pose), apart):
         at, own = turned(tried[group], every)
         varied, own = _best_of_each(appearance, [_varied(at[[k]]) for k in _starts(at, own, len(every), coarse)])
-        begin += [varied[k] for k in np.argsort(-own, kind="stable")[:_BEGUN]]
+        begin.append(varied[np.argsort(-own, kind="stable")[:_BEGUN].tolist()])
+    if not begin:
+        return []
+    at = _joined(begin)
     scale = np.concatenate([_SCALE, np.where(np.isnan(read), 0.35, 0.08)])
 
-    def instruments(at: Posed, most: int, ends: int) -> list[list[Candidate]]:
+    def improved(begin: Posed, passes: int, most: int, ends: int) -> tuple[Posed, Scores, Bool, list[list[int]]]:
+        """Return better poses, their scores and silhouettes, and which of them are the ends of an instrument."""
+        at = _optimised(appearance, begin, scale, passes)
         scores, masks = appearance.scores(at), renderer.masks(at.pose, at.joints)
-        measures = np.c_[scores.measures, scores.total - usual]
-        kept: list[list[Candidate]] = []
-        for k in np.argsort(-scores.total, kind="stable").tolist():
-            explained = None if foreground is None else _explained(masks[k], foreground)
-            found = Candidate(at[k], float(scores.total[k]), measures[k], masks[k], explained)
-            own = next((each for each in kept if _share(masks[k], each[0].silhouette)), None)
-            if own is None and len(kept) < most and masks[k].any():
-                kept.append([found])
-            elif own is not None and len(own) < ends and not any(_are_alike(found, each) for each in own):
-                own.append(found)
-        return kept
+        differ = partial(_are_unlike, masks)
+        return at, scores, masks, _grouped(masks, scores.total, most, ends, differ)
 
-    *first, last_passes = _PASSES[foreground is not None]
+    *first, last = _PASSES[foreground is not None]
     for passes, ends in zip(first, _ENDS, strict=True):
-        kept = instruments(_optimised(appearance, Posed.stacked(begin), scale, passes), _INSTRUMENTS, ends)
-        if not kept:
+        at, _, _, groups = improved(at, passes, _INSTRUMENTS, ends)
+        if not groups:
             return []
-        begin = [found.at for own in kept for found in own]
-    slid, _ = _best_of_each(ranked, [_slid(each, _ROLLS[0]) for each in begin])
-    last = instruments(_optimised(appearance, slid, scale, last_passes), _MOST, 1)
-    return sorted((own[0] for own in last), key=lambda each: (each.confidence < GUESS, -each.score))
+        at = at[[k for group in groups for k in group]]
+    at, _ = _best_of_each(ranked, [_slid(at[k], _ROLLS[0]) for k in range(len(at))])
+    at, scores, masks, groups = improved(at, last, _MOST, 1)
+    sure = 1 / (1 + np.exp(-(np.c_[scores.measures, scores.total - usual] @ _LOG_ODDS[:-1] + _LOG_ODDS[-1])))
+    if foreground is not None:
+        sure = np.array([_explained(mask, foreground) for mask in masks])
+    found = [Candidate(at[k], float(scores.total[k]), float(sure[k]), masks[k]) for (k,) in groups]
+    return sorted(found, key=lambda each: (each.confidence < GUESS, -each.score))
 
 
 def _passes_near(pair: Pair, prompts: Prompts, camera: Camera, radius: float) -> bool:
@@ -320,27 +313,26 @@ def _share(first: Bool, second: Bool) -> bool:
     return int((first & second).sum()) > _SHARED * min(int(first.sum()), int(second.sum()))
 
 
-def _are_alike(first: Candidate, second: Candidate) -> bool:
-    """Whether two candidates have nearly the same silhouette."""
-    return overlap_of(first.silhouette, second.silhouette) > _ALIKE
+def _are_unlike(masks: Bool, first: int, second: int) -> bool:
+    """Whether two of some silhouettes (N, h, w) differ clearly."""
+    return overlap_of(masks[first], masks[second]) <= _ALIKE
 
 
-def _grouped(at: Posed, scores: Float64, renderer: Renderer, places: int) -> list[list[int]]:
-    """Return the best places in groups, of which each is one instrument: those that share pixels with its first one."""
-    best = np.argsort(-scores, kind="stable")[:_GROUPED]
-    masks = renderer.masks(at.pose[best], at.joints[best])
-    groups: list[tuple[Bool, list[int]]] = []
-    for k, mask in zip(best.tolist(), masks, strict=True):
-        if not mask.any():
-            continue
-        own = next((members for first, members in groups if _share(mask, first)), None)
-        if own is None and len(groups) < _GROUPS:
-            groups.append((mask, [k]))
-        elif own is not None:
+def _grouped(
+    masks: Bool, scores: Float64, most: int, members: int, apart: Callable[[int, int], bool]
+) -> list[list[int]]:
+    """Return the best poses in groups, of which each is one instrument: those that share pixels with its first one.
+
+    ``masks`` (N, h, w) are their silhouettes. Of poses of a group that are not ``apart`` only the best one is kept.
+    """
+    groups: list[list[int]] = []
+    for k in np.argsort(-scores, kind="stable").tolist():
+        own = next((group for group in groups if _share(masks[k], masks[group[0]])), None)
+        if own is None and len(groups) < most and masks[k].any():
+            groups.append([k])
+        elif own is not None and len(own) < members and all(apart(k, j) for j in own):
             own.append(k)
-    parts = [np.array(members) for _, members in groups]
-    chosen = [_distinct(at[part], scores[part], renderer.camera, places, near=5.0) for part in parts]
-    return [part[own].tolist() for part, own in zip(parts, chosen, strict=True)]
+    return groups
 
 
 def _along(pairs: list[Pair], camera: Camera) -> list[Float64]:
@@ -365,16 +357,13 @@ def _along(pairs: list[Pair], camera: Camera) -> list[Float64]:
 
 def _best_along(axes: list[Float64], scores: Float64) -> list[int]:
     """Return the best places along each axis, given the poses along each and the scores of all."""
-    best, first = [], 0
-    for poses in axes:
-        own = scores[first : first + len(poses)].copy()
-        for _ in range(_OF_AXIS):
-            k = int(own.argmax())
-            if own[k] == -np.inf:
-                break
-            best.append(first + k)
-            own[max(k - 1, 0) : k + 2] = -np.inf
-        first += len(poses)
+    best: list[int] = []
+    for places in np.split(np.arange(len(scores)), np.cumsum([len(poses) for poses in axes])[:-1]):
+        own: list[int] = []
+        for k in places[np.argsort(-scores[places], kind="stable")].tolist():
+            if len(own) < _OF_AXIS and all(abs(k - j) > 1 for j in own):
+                own.append(k)
+        best += own
     return best
 
 
@@ -397,38 +386,42 @@ def _slid(at: Posed, count: int) -> Posed:
     steps = np.concatenate([[0.0], _SLIDES])
     places = np.tile(at.pose, (len(steps), 1, 1))
     places[:, :3, 3] += steps[:, None] * at.pose[:3, 2]
-    turned = places[:, None] @ _rolls(count)[None]
-    return Posed(turned.reshape(-1, 4, 4), np.tile(at.joints, (len(steps) * count, 1)))
+    return _turned(places, Posed(_rolls(count), np.tile(at.joints, (count, 1))))
 
 
-def _turned(places: Posed, turns: Posed) -> Posed:
-    """Return places, each at all turns about its own axis and with their joints."""
-    poses = (places.pose[:, None] @ turns.pose[None]).reshape(-1, 4, 4)
-    return Posed(poses, np.tile(turns.joints, (len(places.pose), 1)))
+def _turned(places: Float64, turns: Posed) -> Posed:
+    """Return places (N, 4, 4), each at all turns about its own axis and with their joints."""
+    poses = (places[:, None] @ turns.pose[None]).reshape(-1, 4, 4)
+    return Posed(poses, np.tile(turns.joints, (len(places), 1)))
 
 
 def _starts(at: Posed, scores: Float64, turns: int, camera: Camera) -> list[int]:
     """Return the best turns of the best places, given places each at all turns: the best one may be wrong."""
     places, each = _STARTS
-    best = np.argsort(-scores.reshape(-1, turns).max(axis=1), kind="stable")[:places]
-    parts = [slice(turns * k, turns * (k + 1)) for k in best.tolist()]
-    return [part.start + k for part in parts for k in _distinct(at[part], scores[part], camera, each, near=8.0)]
+    starts: list[int] = []
+    for place in np.argsort(-scores.reshape(-1, turns).max(axis=1), kind="stable")[:places].tolist():
+        own, apart = list[int](), _Apart(at, camera, 8.0)
+        for k in (turns * place + np.argsort(-scores[turns * place : turns * (place + 1)], kind="stable")).tolist():
+            if len(own) < each and all(apart(k, j) for j in own):
+                own.append(k)
+        starts += own
+    return starts
 
 
-def _distinct(at: Posed, scores: Float64, camera: Camera, most: int, near: float = 9.0) -> list[int]:
-    """Return the candidates with the largest scores that are not near a better one in the image, in place and roll."""
-    focal = float(np.sqrt(camera.fx * camera.fy))
-    kept: list[int] = []
-    for k in np.argsort(-scores, kind="stable")[:4000].tolist():
-        if len(kept) == most:
-            break
-        pose = at.pose[k]
-        if all(
-            np.hypot(*(focal * (pose[:2, 3] / pose[2, 3] - at.pose[j][:2, 3] / at.pose[j][2, 3]))) > near
-            or np.linalg.norm(pose[:3, :3] - at.pose[j][:3, :3]) > 0.7
-            or np.abs(at.joints[k] - at.joints[j]).max() > 0.6
-            or abs(np.log(pose[2, 3] / at.pose[j][2, 3])) > 0.15
-            for j in kept
-        ):
-            kept.append(k)
-    return kept
+@dataclass(frozen=True, eq=False)
+class _Apart:
+    """Whether two of some poses are apart: in the image by more than ``near`` px, in roll, joints or depth."""
+
+    at: Posed
+    camera: Camera
+    near: float
+
+    def __call__(self, first: int, second: int) -> bool:
+        pose, other = self.at.pose[[first, second]]
+        away = np.sqrt(self.camera.fx * self.camera.fy) * (pose[:2, 3] / pose[2, 3] - other[:2, 3] / other[2, 3])
+        return bool(
+            np.hypot(*away) > self.near
+            or np.linalg.norm(pose[:3, :3] - other[:3, :3]) > 0.7
+            or np.abs(self.at.joints[first] - self.at.joints[second]).max() > 0.6
+            or abs(np.log(pose[2, 3] / other[2, 3])) > 0.15
+        )

@@ -53,8 +53,7 @@ def rough_mask(image: Image, hints: Hints) -> Segmentation:
     table = ColourTable(colours)
     mask = _iterate_cuts(colours, table, prior, prompts)
     odds = local_colour_log_odds(table, mask)
-    verdict = assess_mask(mask, np.s_[:, :], odds, colours, prompts=prompts)
-    return Segmentation(mask, verdict.confidence, verdict.notes)
+    return Segmentation(mask, *assess_mask(mask, np.s_[:, :], odds, colours, prompts=prompts))
 
 
 def segment_classic(image: Image, prompts: Prompts, rough: Segmentation) -> Segmentation:

@@ -7,7 +7,6 @@ of the outline that lies on an edge of the image; and a plausibility by the mask
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -30,31 +29,13 @@ _NO_BORDER_CONTACT = 0.45  # factor for a mask that does not meet the border; be
 _ONE_PIECE = 0.8  # least share of the mask's area in its largest region
 
 
-@dataclass(frozen=True)
-class MaskAssessment:
-    """Three measures of a mask, each from 0 to 1, and messages about what speaks against it.
-
-    separation : 2 a - 1, at least 0, where a is the balanced accuracy of classifying pixels near the outline by colour.
-    edges : share of the outline's points that lie on an edge of the image.
-    plausibility : 1, multiplied by a factor below 1 for each implausible property of the mask.
-    notes : messages for the user.
-    """
-
-    separation: float
-    edges: float
-    plausibility: float
-    notes: tuple[str, ...]
-
-    @property
-    def confidence(self) -> float:
-        """Confidence in the mask, 0 to 1: separation times the square root of edges times plausibility."""
-        return float(np.clip(self.separation * np.sqrt(self.edges) * self.plausibility, 0, 1))
-
-
 def assess_mask(
     mask: Bool, window: tuple[slice, slice], odds: Float32, colours: Colours, *, prompts: Prompts
-) -> MaskAssessment:
-    """Measure how far a mask can be trusted.
+) -> tuple[float, tuple[str, ...]]:
+    """Return the confidence in a mask, 0 to 1, and messages for the user about what speaks against it.
+
+    The confidence is the separation, which is 2 a - 1 for a balanced accuracy a of classifying pixels near the outline
+    by colour, times the square root of the share of the outline on an edge of the image times the plausibility.
 
     Parameters
     ----------
@@ -70,7 +51,7 @@ def assess_mask(
         With a box or points on the instrument, a mask that is small or does not meet the border is not implausible.
     """
     if not mask.any() or mask.all() or mask[window].all():
-        return MaskAssessment(0.0, 0.0, 0.0, ("no instrument found",))
+        return 0.0, ("no instrument found",)
     away = signed_distance(mask[window])
     separation = _separation(odds, away)
     edges = _edges(away, colours)
@@ -79,7 +60,7 @@ def assess_mask(
         notes.append("colours inside and outside the mask hardly differ")
     if edges < 0.6:
         notes.append("much of the mask's outline follows no edge in the image")
-    return MaskAssessment(separation, edges, plausibility, tuple(notes))
+    return float(np.clip(separation * np.sqrt(edges) * plausibility, 0, 1)), tuple(notes)
 
 
 def _separation(odds: Float32, away: Float32) -> float:

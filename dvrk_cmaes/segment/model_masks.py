@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Final
 
 import cv2
@@ -116,22 +117,22 @@ def segment_by_model(
         (h, w), log-odds of instrument by a known background, by which candidates are chosen then and their masks cut;
         ``rough`` is what differs from that.
     """
-    height, width = image.shape[:2]
-    camera = assumed_camera(width, height) if camera is None else camera
-    outside = prompts.outside
+    camera = assumed_camera(image.shape[1], image.shape[0]) if camera is None else camera
     roughly = rough()
     sure = roughly.confidence >= GUESS
     about = roughly.mask if sure and roughly.mask.any() and not roughly.mask.all() else None
     candidates = find_instruments(image, prompts, body, camera, joints, about, foreground)
-    sure = sure and foreground is None
     likely = [each for each in candidates if each.confidence >= GUESS]
     found = [each for each in likely if _fits(each, prompts, image)]
 
+    @cache
     def by_colours() -> Segmentation:
         other = otherwise()
         if prompts.given and other.mask.mean() > _LARGEST_BY_PROMPT:
             return nothing_found(image.shape)
-        if other.confidence < GUESS or _is_alike(other.mask, candidates, body, camera):
+        if other.confidence < GUESS or any(_overlap(each, other.mask) > _ALIKE for each in candidates):
+            return other
+        if body.instrument.shaft is not None and pair_of_mask(other.mask, camera, body.instrument.shaft.radius):
             return other
         return replace(other, confidence=_UNLIKE, notes=(*other.notes, "its shape is not the instrument's"))
 
@@ -140,28 +141,31 @@ def segment_by_model(
         sure_by_colours = last.mask.any() and (not prompts.given or last.confidence >= GUESS)
         if sure_by_colours or best is None or best.confidence < _POSSIBLE:
             return last
-        return mask_of_candidate(image, best, body, camera, prompts, foreground) or last
-    other = by_colours() if sure else None
+        own = mask_of_candidate(image, best, body, camera, prompts, foreground)
+        return own if own.mask.any() else last
+    other = by_colours() if sure and foreground is None else None
 
-    def mask_of(each: Candidate) -> Segmentation | None:
-        others_pixels, same = _of_others(each, likely, outside.shape), None
+    def mask_of(each: Candidate) -> Segmentation:
+        """Return a candidate's mask without the pixels of others, whose colours may be this one's, too."""
+        others = [one.silhouette & ~each.silhouette for one in likely if one is not each]
+        others_pixels = resized(np.any([np.zeros_like(each.silhouette), *others], axis=0), image.shape[1::-1])
+        same = None
         if other is not None and _overlap(each, other.mask) > SAME:
             same = replace(other, mask=other.mask & ~others_pixels) if others_pixels.any() else other
             if same.confidence > each.confidence:  # its own mask would be no surer than the candidate
                 return same
-        own = mask_of_candidate(image, each, body, camera, prompts.with_outside(outside | others_pixels), foreground)
-        return same if own is not None and same is not None and same.confidence > own.confidence else own
+        without = prompts.with_outside(prompts.outside | others_pixels)
+        own = mask_of_candidate(image, each, body, camera, without, foreground)
+        return same if own.mask.any() and same is not None and same.confidence > own.confidence else own
 
-    masks: list[Segmentation] = []
+    masks, taken = list[Segmentation](), np.zeros_like(prompts.outside)
     for each in found if not prompts.given else found[:1]:
         mask = mask_of(each)
-        if mask is None:
-            continue
-        before = np.any([former.mask for former in masks], axis=0) if masks else np.zeros_like(mask.mask)
-        if (mask.mask & before).sum() <= _SHARED * mask.mask.sum():
-            masks.append(replace(mask, mask=mask.mask & ~before) if before.any() else mask)
+        if mask.mask.any() and (mask.mask & taken).sum() <= _SHARED * mask.mask.sum():
+            masks.append(replace(mask, mask=mask.mask & ~taken) if taken.any() else mask)
+            taken = taken | mask.mask
     if not masks:
-        return by_colours() if other is None else other
+        return by_colours()
     first, *others = sorted(masks, key=lambda each: each.confidence < GUESS)  # else in the order of the search
     elsewhere = other is not None and all(_overlap(each, other.mask) <= _ELSEWHERE for each in found)
     if other is not None and elsewhere and first.confidence < GUESS <= other.confidence:
@@ -173,20 +177,6 @@ def segment_by_model(
     return replace(first, confidence=confidence, notes=notes, others=tuple(others))
 
 
-def _of_others(found: Candidate, likely: Sequence[Candidate], shape: tuple[int, ...]) -> Bool:
-    """Return the pixels (H, W) of other instruments, whose colours are no surroundings' and may be this one's, too."""
-    others = [each.silhouette for each in likely if each is not found]
-    others_pixels = np.any([np.zeros_like(found.silhouette), *others], axis=0) & ~found.silhouette
-    return resized(others_pixels, (shape[1], shape[0]))
-
-
-def _is_alike(mask: Bool, candidates: Sequence[Candidate], body: Body, camera: Camera) -> bool:
-    """Whether a mask (H, W) is like a candidate, or has straight sides as a shaft, blurred or not."""
-    shaft = body.instrument.shaft
-    sides = None if shaft is None else pair_of_mask(mask, camera, shaft.radius)
-    return sides is not None or any(_overlap(each, mask) > _ALIKE for each in candidates)
-
-
 def _overlap(found: Candidate, mask: Bool) -> float:
     """Return the intersection over union of a candidate's silhouette and a mask (H, W)."""
     return overlap_of(found.silhouette, resized(mask, (found.silhouette.shape[1], found.silhouette.shape[0])))
@@ -194,8 +184,8 @@ def _overlap(found: Candidate, mask: Bool) -> float:
 
 def mask_of_candidate(
     image: Image, found: Candidate, body: Body, camera: Camera, prompts: Prompts, foreground: Float32 | None = None
-) -> Segmentation | None:
-    """Return the mask of a candidate in an image (H, W, 3), with its confidence; None if it is not in the picture."""
+) -> Segmentation:
+    """Return the mask of a candidate in an image (H, W, 3), with its confidence; empty if it is not in the picture."""
     instrument = body.instrument
     assert instrument.shaft is not None
     size, scale = size_within(image.shape, _SIZE if foreground is None else FINEST)
@@ -204,7 +194,7 @@ def mask_of_candidate(
     at = found.at[None]
     whole, shaft = (Renderer(drawn, own, threads=1).masks(at.pose, at.joints)[0] for drawn in (body, root))
     if not whole.any() or whole.all():
-        return None
+        return nothing_found(image.shape)
     across = 2 * instrument.shaft.radius * float(np.sqrt(own.fx * own.fy)) / found.at.pose[2, 3]
     if foreground is None:
         rough, odds = _rough_mask(shrunk(image, _SIZE), shaft, whole, across, prompts.resized(*size, scale))

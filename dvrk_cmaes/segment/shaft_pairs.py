@@ -30,6 +30,8 @@ _NEAR: Final = 0.006  # of the longer side, from a line to the ends of segments 
 _PARALLEL: Final = np.cos(np.deg2rad(17.0))  # of the two lines of a pair
 _DEPTHS: Final = 0.035, 0.45  # m, of the axis
 _NEAREST, _FARTHEST = 0.015, 0.5  # m, between which the instrument is looked for along it
+_COORDINATES: Final = np.linspace(-_FARTHEST, _FARTHEST, 1001)  # m, along an axis from its point nearest to the camera
+_ALONG_VIEW: Final = np.cos(np.deg2rad(4.0))  # of an axis and the view, from which on it has no sides
 _NARROWEST: Final = 4.0  # px, width of a shaft
 _LEAST_OVERLAP: Final = 0.7  # of the width, of the stretch that has both lines
 _TRIED: Final = 50  # points along an axis, of which the one deepest in a mask is taken
@@ -113,11 +115,12 @@ def prompt_in(other: View, mask: Bool, view: View, body: Body) -> Hints:
         return Hints()
     axis = pair.point + np.linspace(pair.begin, pair.end, _TRIED)[:, None] * pair.direction
     u, v = np.clip(np.rint(view.camera.project(axis)).astype(int), 0, np.array(mask.shape[::-1]) - 1).T
-    deepest = axis[int(distance_to(~mask)[v, u].argmax())]
-    seen = apply(other.view_from_camera @ inverse(view.view_from_camera), deepest)
-    pixel = other.camera.project(seen)
-    within = seen[2] > 0 and (pixel >= 0).all() and (pixel < (other.camera.width, other.camera.height)).all()
-    return Hints(points=((float(pixel[0]), float(pixel[1])),)) if within else Hints()
+    seen = apply(other.view_from_camera @ inverse(view.view_from_camera), axis)
+    pixels = other.camera.project(seen)
+    within = (seen[:, 2] > 0) & ((pixels >= 0) & (pixels < (other.camera.width, other.camera.height))).all(axis=1)
+    depths = np.where(within, distance_to(~mask)[v, u], 0)
+    deepest = int(depths.argmax())
+    return Hints(points=((float(pixels[deepest, 0]), float(pixels[deepest, 1])),)) if depths[deepest] > 0 else Hints()
 
 
 def _segments(image: Image, outside: Bool) -> Float64:
@@ -233,27 +236,13 @@ def _pair(first: _Line, second: _Line, camera: Camera, radius: float, limits: Fl
         planes.append(np.array([*outward, -outward @ line.point]) @ camera.matrix)
     unit = np.stack(planes) / np.linalg.norm(planes, axis=1, keepdims=True)
     direction, point = shaft_axis(unit, radius)
-    focals, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
-    base = (across(upper) + across(lower)) / 2 * normal
-
-    def places(at: Float64) -> Float64:
-        """Return coordinates (N,), m, on the axis of its points nearest to the rays of places (N,) along the pair."""
-        pixels = (base + at[:, None] * along - centre) / focals
-        rays = np.concatenate([pixels, np.ones((len(at), 1))], axis=1)
-        away = np.cross(rays, np.cross(direction, rays))
-        return np.asarray(-(away @ point) / (away @ direction))
-
-    if abs(direction[2]) > np.cos(np.deg2rad(4.0)):
+    if abs(direction[2]) > _ALONG_VIEW:
         return None
-    # the stretch within the picture and before the camera: beyond its vanishing point an axis is behind it
-    corners = np.array([[0, 0], [limits[0], 0], [0, limits[1]], limits]) @ along
-    steps = np.append(np.linspace(corners.min(), corners.max(), 200), middle)
-    pixels = base + steps[:, None] * along
-    seen = places(steps)
-    depths = point[2] + seen * direction[2]
-    if not _DEPTHS[0] < depths[-1] < _DEPTHS[1]:
+    # the stretch in the picture and in front of the camera
+    axis = point + _COORDINATES[:, None] * direction
+    pixels = axis[:, :2] / np.maximum(axis[:, 2:], _NEAREST) * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+    shown = ((pixels >= 0) & (pixels <= limits)).all(axis=1) & (axis[:, 2] > _NEAREST) & (axis[:, 2] < _FARTHEST)
+    if shown.sum() < 2:
         return None
-    kept = seen[((pixels >= 0) & (pixels <= limits)).all(axis=1) & (depths > _NEAREST) & (depths < _FARTHEST)]
-    if len(kept) < 2:
-        return None
-    return Pair(direction, point, float(kept.min()), float(kept.max()), overlap + 0.25 * (high - low))
+    begin, end = _COORDINATES[shown][[0, -1]]
+    return Pair(direction, point, float(begin), float(end), overlap + 0.25 * (high - low))

@@ -7,7 +7,6 @@ leaks into them. The sides of the shaft are straight up to the image's border, w
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.shaft_edges import find_contour, find_shaft_edges
@@ -37,27 +36,11 @@ def shaft_log_odds(mask: Bool) -> Float32 | None:
     first, second = (line[0] * u + line[1] * v + line[2] for line in lines)  # px, positive outside
     outside = np.maximum(first, second)
     pull = -_STEEPNESS * np.sign(outside) * np.maximum(np.abs(outside) - _SLACK, 0)
-    along = _inward(lines)
-    stretch = pairs[0].ends @ along
-    ends = stretch.min(axis=1), stretch.max(axis=1)
-    if _comes_from_start(pairs[0].ends, along, (height, width)):
-        on_shaft = along[0] * u + along[1] * v < min(ends[1])
-    else:
-        on_shaft = along[0] * u + along[1] * v > max(ends[0])
+    ends = pairs[0].ends  # (2, 2, 2), px, of each side
+    across = lines[0, :2] - lines[1, :2]  # of opposite normals
+    along = np.array([-across[1], across[0]]) / np.linalg.norm(across)
+    to_border = np.minimum(ends, [width - 1, height - 1] - ends).min(axis=2)
+    starts, stops = np.take_along_axis(to_border, (ends @ along).argsort(axis=1), axis=1).min(axis=0)
+    along = along if starts <= stops else -along  # from the border of the image
+    on_shaft = along[0] * u + along[1] * v < (ends @ along).max(axis=1).min()
     return np.asarray(np.where(on_shaft, np.clip(pull, -_LARGEST, _LARGEST), 0), np.float32)
-
-
-def _inward(lines: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean direction (2,), a unit vector, along two lines (2, 3) with opposite outward normals."""
-    direction = np.array([-lines[0, 1], lines[0, 0]]) - np.array([-lines[1, 1], lines[1, 0]])
-    return np.asarray(direction / np.linalg.norm(direction))
-
-
-def _comes_from_start(ends: NDArray[np.float64], along: NDArray[np.float64], shape: tuple[int, int]) -> bool:
-    """Whether the shaft meets the image's border at the smaller coordinates along the lines, not at the larger."""
-    limit = np.array([shape[1] - 1, shape[0] - 1])
-    to_border = np.minimum(ends, limit - ends).min(axis=2)
-    position = ends @ along
-    starts = np.take_along_axis(to_border, position.argmin(axis=1)[:, None], axis=1).min()
-    stops = np.take_along_axis(to_border, position.argmax(axis=1)[:, None], axis=1).min()
-    return bool(starts <= stops)

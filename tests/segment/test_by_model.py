@@ -131,7 +131,7 @@ def test_another_mask_is_taken_that_is_elsewhere_where_the_instrument_s_is_a_gue
     image, mask, _ = behind_a_flap()
     monkeypatch.setattr(model_masks, "mask_of_candidate", lambda *_: Segmentation(mask, confidence=0.4))
     part = mask.copy()
-    part[:, 125:] = False
+    part[:, 120:] = False  # IoU of about 0.67 with the instrument: not the same
     for shown, confidence, taken in [
         (drawn(RIGHT)[1][0], 0.9, True),
         (part, 0.9, False),
@@ -149,8 +149,7 @@ def test_an_unlikely_instrument_is_a_guess_where_nothing_else_is_found(
 ) -> None:
     image, (mask,) = drawn(LEFT)
     candidate = find_instruments(image, no_prompts(image.shape), BODY, CAMERA)[0]
-    less = (replace(candidate, measures=candidate.measures * share) for share in np.linspace(1.0, 0.0, 100))
-    unlikely = next(each for each in less if each.confidence < confidence)
+    unlikely = replace(candidate, confidence=confidence - 0.01)
     monkeypatch.setattr(model_masks, "find_instruments", lambda *_, **__: [unlikely])
     nothing = Segmentation(np.zeros_like(mask), confidence=0.0)
     found = segment_by_model(image, BODY, CAMERA, None, no_prompts(image.shape), lambda: nothing, lambda: nothing)
