@@ -93,10 +93,10 @@ def test_readings_are_shown_in_deg_and_mm(tmp_path: Path) -> None:
     found = inspect_path(path)
     assert found.kind == "joint readings"
     assert found.lines == (
-        "joints.csv: 2 rows",
+        "joints.csv: 2 rows, in rad (insertion: m)",
         "insertion from 100.00 to 150.00 mm",
         "jaw from 28.65 to 57.30 deg",
-        "times from 10.000 to 10.500 s",
+        "times from 10.000 to 10.500 s, 2.0 rows a second",
     )
     assert found.read["ranges"] == {"insertion": (0.1, 0.15), "jaw": (0.5, 1.0)}
     assert found.notes[-1] == "a frame's readings are found by its name"

@@ -22,7 +22,14 @@ from dvrk_cmaes.cli.options import (
     check_range,
     parse_pixel,
 )
-from dvrk_cmaes.cli.session_tools import answer_by_arm, doubt_exchanged, output_folder, read_arms, reason_lines
+from dvrk_cmaes.cli.session_tools import (
+    answer_by_arm,
+    doubt_exchanged,
+    output_folder,
+    pictures_at,
+    read_arms,
+    reason_lines,
+)
 from dvrk_cmaes.cli.terminal import (
     DOUBTFUL,
     INTERRUPTED,
@@ -178,7 +185,7 @@ def batch(
     ----------
     session
         Session folder: camera.yaml, joints.csv, masks/FRAME.png (or images/FRAME.png alone), and optionally images and
-        ignore.
+        ignore. Or a folder of pictures, one picture of it, or a pattern in quotes, such as "pictures/*.jpg".
     wanted
         What is estimated, by what, and where results go.
     calibrated
@@ -194,6 +201,7 @@ def batch(
         Print only summary.json, on stdout.
     """
     wanted.check()
+    session, pictures = pictures_at(session)
     settings, by = given.settings(), {"count": wanted.workers, "time_limit": wanted.time_limit}
     with output_folder(wanted.out, session, "results", "batch") as results:
         labelled = wanted.label is not None
@@ -211,7 +219,7 @@ def batch(
                 lag=wanted.lag,
                 workers=by,
                 config=settings,
-                pattern=wanted.frames,
+                pattern=wanted.frames or pictures,
                 resume=wanted.resume,
                 segment=segment.resolve(),
             )

@@ -96,10 +96,20 @@ class FrameOptions:
     pick: Annotated[str | None, _Hyphens] = None
     only: str | None = None
 
-    def check(self, *, segmented: bool) -> None:
-        """Raise an InputError for files that do not fit together; ``segmented``: nothing says how images are."""
+    def check(self, *, segmented: bool, uncalibrated: bool) -> None:
+        """Raise an InputError for files that are missing or do not fit together.
+
+        ``segmented``: nothing says how images are; ``uncalibrated``: there is no camera file.
+        """
+        missing = []
         if self.named is None:
-            raise InputError("--mask: expected a mask, or an image to find it in (--image FILE), got neither")
+            missing.append("--mask: expected a mask, or an image to find it in (--image FILE), got neither")
+        if uncalibrated:
+            from dvrk_cmaes.frames.session_folder import UNCALIBRATED
+
+            missing.append(f"--camera: expected a camera file, got none; {UNCALIBRATED}")
+        if missing:
+            raise InputError("; ".join(missing))
         if self.mask is None and not (self.label is None and self.pick is None):
             raise InputError("--label, --pick: expected a mask with them (--mask FILE), got none")
         if self.mask is not None and not segmented:
@@ -210,7 +220,7 @@ def estimate(
     json
         Print only the result, as JSON, on stdout.
     """
-    given.check(segmented=segment == SegmentOptions())
+    given.check(segmented=segment == SegmentOptions(), uncalibrated=camera.camera is None)
     from dvrk_cmaes.estimation.one_tool import FrameMethod
     from dvrk_cmaes.frames.frame import read_frame
     from dvrk_cmaes.results.paths import mask_path, overlay_path, result_path

@@ -83,6 +83,8 @@ class FormatGiven:
     ----------
     to
         Format to write.
+    table
+        The parquet file of a LeRobot data set's episode, in the format lerobot.
     arm
         Name of the arm in names of files and frames.
     camera_frame
@@ -102,6 +104,7 @@ class FormatGiven:
     """
 
     to: Format
+    table: Path | None = None
     arm: Annotated[str, Parameter(group=NAMES)] = "PSM1"
     camera_frame: Annotated[str, Parameter(group=NAMES)] = "camera"
     base_frame: Annotated[str | None, Parameter(group=NAMES)] = None
@@ -178,7 +181,7 @@ def export(
     pose = None if chosen.ecm_pose is None else read_cartesian_pose(chosen.ecm_pose)
     source = read_source(results, frame)
     times = bag.read_times(source.results)
-    taken = chosen.scene, chosen.object_id, chosen.dvrk_version, pose, times, bag.read_tip()
+    taken = chosen.scene, chosen.object_id, chosen.dvrk_version, pose, times, bag.read_tip(), chosen.table
     exported = exported_files(ExportRequest(source, chosen.to, names, *taken))
     written = []
     if chosen.to != "tf" or out is not None:

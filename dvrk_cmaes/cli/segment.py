@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,7 +19,7 @@ from dvrk_cmaes.cli.options import (
     check_range,
 )
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer, exit_code, note
-from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.errors import DvrkCmaesError, InputError
 
 if TYPE_CHECKING:
     from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
@@ -58,7 +59,7 @@ def segment(
     Parameters
     ----------
     source
-        Image (PNG or JPEG), session folder, or folder of images.
+        Image (PNG or JPEG), session folder, folder of images, or a pattern in quotes, such as "pictures/*.jpg".
     model
         The segmentation model, and prompts; in a folder, the same for every image.
     instrument
@@ -74,6 +75,7 @@ def segment(
     check_range("--threads", threads, 1, MOST_THREADS)
     import cv2
 
+    from dvrk_cmaes.cli.session_tools import pictures_at
     from dvrk_cmaes.frames.session_folder import find_images
     from dvrk_cmaes.io.output import whole_folder
     from dvrk_cmaes.results.paths import check_output
@@ -83,8 +85,12 @@ def segment(
     hints = model.hints()
     prepare(instrument)  # before any image is read, and cached
     cv2.setNumThreads(threads)
-    single = not source.is_dir()
-    images = {source.stem: source} if single else find_images(source)
+    folder, pattern = pictures_at(source)
+    single = source.is_file() or not folder.is_dir()
+    images = {source.stem: source} if single else find_images(folder)
+    images = {name: path for name, path in images.items() if fnmatch(name, pattern or "*")}
+    if not images:
+        raise InputError(f"{source}: expected images (PNG or JPEG), got none")
     views = {view: [images[frame] for frame in frames] for view, frames in _by_view(images).items()}
     settings = learned_backgrounds(model.resolve(), views)
     for frame in images:

@@ -103,6 +103,14 @@ def _read_arm(
 _MOST_REASONS = 8
 
 
+def pictures_at(path: Path) -> tuple[Path, str | None]:
+    """Return the folder that a path names, and the pattern of its frames' names where it is a photo or a glob."""
+    if path.is_dir() or not (path.is_file() or any(mark in path.name for mark in "*?[")):
+        return path, None
+    folder = path.parent
+    return folder.parent if folder.name in ("images", "masks") else folder, path.stem
+
+
 @contextmanager
 def output_folder(out: Path | None, inside: Path, name: str, command: str, *, wait: float = 0.0) -> Iterator[Path]:
     """Yield the folder to write to, which is opened: OUT, or a folder of a name inside another one by default.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
+from pathlib import Path
 from typing import Literal, cast
 
 from dvrk_cmaes.export.base_choice import ChosenBase
@@ -35,6 +36,8 @@ class ExportRequest:
         In the formats ros1-bag and ros2-bag, the frames' times, ns; empty if they are not known.
     tip
         In these formats, the tool tip frame of ``measured_cp``.
+    table
+        In the format lerobot, the parquet file of the episode.
     """
 
     source: ExportSource
@@ -46,6 +49,7 @@ class ExportRequest:
     ecm_pose: Float64 | None = None
     times: Mapping[str, int] = field(default_factory=dict)
     tip: ToolTip = field(default_factory=ToolTip)
+    table: Path | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -65,6 +65,12 @@ _ROWS: Final = (
         "pose_texts",
     ),
     ExportFormat(
+        "lerobot",
+        "camera_from_base, m; the parquet file of an episode of a LeRobot data set (--table), with corrected joints, "
+        "camera_from_base, lag, status and tip_probability as columns beside the original ones.",
+        "lerobot",
+    ),
+    ExportFormat(
         "ros1-bag",
         "camera_from_root and camera_from_base, m, quaternions xyzw; ARM.bag with poses, JointState and tf "
         "messages for each frame; `dvrk-cmaes help exports` lists the topics. Needs the library rosbags.",

@@ -240,11 +240,16 @@ def _inspect_joints(path: Path, options: Options) -> Finding:
         for name, column in zip(file.joints, file.values.T, strict=True)
         if not np.isnan(column).all()
     }
-    lines = [f"{file.kind}: {counted(count, 'row')}", *(_range_text(name, *pair) for name, pair in ranges.items())]
+    lines = [
+        f"{file.kind}: {counted(count, 'row')}, in rad (insertion: m)",
+        *(_range_text(name, *pair) for name, pair in ranges.items()),
+    ]
     notes = list(file.notes)
     span = (min(times), max(times)) if times else None
     if span is not None:
         lines.append(f"times from {span[0] / NANOSECONDS:.3f} to {span[1] / NANOSECONDS:.3f} s")
+        if span[1] > span[0]:
+            lines[-1] += f", {(len(times) - 1) / (span[1] - span[0]) * NANOSECONDS:.1f} rows a second"
         notes.append(
             f"readings are interpolated to an image's time, from at most {TIME_TOLERANCE / NANOSECONDS:g} s away"
         )
@@ -454,9 +459,10 @@ def _inspect_session(path: Path, options: Options) -> Finding:
             side=options.side,
             read_as=options.read_as,
         )
+        finding = _of_arm(session, tool.instrument)
         if len(tools) == 1:
-            return _of_arm(session)
-        findings[tool.arm] = _of_arm(session)
+            return finding
+        findings[tool.arm] = finding
     lines = tuple(f"{arm}: {line}" for arm, finding in findings.items() for line in finding.lines)
     read = {"arms": {arm: finding.read for arm, finding in findings.items()}}
     notes = dict.fromkeys(note for finding in findings.values() for note in finding.notes)
@@ -464,8 +470,8 @@ def _inspect_session(path: Path, options: Options) -> Finding:
     return Finding(f"session of {len(findings)} arms", lines, read, tuple(notes), tuple(problems))
 
 
-def _of_arm(session: Session) -> Finding:
-    """Describe a session of one arm."""
+def _of_arm(session: Session, instrument: str | None) -> Finding:
+    """Describe a session of one arm, with the instrument that session.toml names."""
     frames = session.frames
     with ThreadPoolExecutor() as threads:
         refused = [*threads.map(partial(_problem, camera=session.rig), frames)]
@@ -486,6 +492,7 @@ def _of_arm(session: Session) -> Finding:
         f"camera {camera.width} x {camera.height} px, focal lengths {camera.fx:.3f} and {camera.fy:.3f} px",
         *_clock(session),
         *session.rig.remarks,
+        f"instrument {instrument or 'lnd, assumed: session.toml names none (--instrument)'}",
         _next(session),
     ]
     rules = [note for note in session.notes if not note.startswith(_DESCRIPTIONS)]

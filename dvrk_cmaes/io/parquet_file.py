@@ -27,7 +27,7 @@ def read_columns(path: Path, names: Sequence[str], optional: Sequence[str] = ())
     InputError
         pyarrow is not installed, the file is not readable or too large, or a column is missing.
     """
-    with _opened(path) as file:
+    with opened(path) as file:
         there = list(file.schema_arrow.names)
         missing = [name for name in names if name not in there]
         if missing:
@@ -40,12 +40,12 @@ def read_columns(path: Path, names: Sequence[str], optional: Sequence[str] = ())
 
 def field_names(path: Path) -> list[str]:
     """Return the names of a parquet file's fields; InputError as `read_columns`."""
-    with _opened(path) as file:
+    with opened(path) as file:
         return list(file.schema_arrow.names)
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def opened(path: Path) -> Iterator[Any]:
     """Open a parquet file; errors of pyarrow, also while it is read, become an InputError."""
     check_file(path, expected=_EXPECTED, largest=_LARGEST)
     try:

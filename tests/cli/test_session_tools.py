@@ -133,3 +133,26 @@ def test_bases_are_tested_against_the_set_up_joints(
     (session / "suj-fixed.json").write_text('{"arms": [{"name": "PSM1"}]}')
     refused = run_command(capsys, "calibrate", session, "--out", tmp_path / "again", *arguments).refusal
     assert "suj-fixed.json: arms[0]" in refused
+
+
+@pytest.mark.parametrize(
+    ("given", "frames"), [("images/0003.jpg", ["0003"]), ("masks/000[12].png", ["0001", "0002"]), ("*.jpg", ["0002"])]
+)
+def test_a_photo_or_a_pattern_names_frames_of_its_folder(
+    tmp_path: Path, quick: Path, capsys: pytest.CaptureFixture[str], given: str, frames: list[str]
+) -> None:
+    folder = tmp_path / "own"
+    shutil.copytree(bundled_path("demo"), folder)
+    if given == "*.jpg":
+        shutil.copy(folder / "images" / "0002.jpg", folder)
+        shutil.rmtree(folder / "images")
+        shutil.rmtree(folder / "masks")
+    ran = run_command(capsys, "batch", folder / given, "--out", tmp_path / "out", "--config", quick, "--workers", 1)
+    assert ran.code in (0, 3), ran.err
+    assert sorted(path.stem for path in (tmp_path / "out" / "frames").iterdir()) == frames
+
+
+def test_all_missing_inputs_of_a_frame_are_named_at_once(capsys: pytest.CaptureFixture[str]) -> None:
+    said = run_command(capsys, "estimate").refusal
+    assert said.startswith("--mask: expected a mask, or an image")
+    assert "--camera: expected a camera file, got none; without a calibration: `dvrk-cmaes calibrate" in said

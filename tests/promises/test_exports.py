@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pytest
 import yaml
+from pyarrow import parquet
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
@@ -160,6 +162,26 @@ def test_ros_recording(calibrated: Path, base: np.ndarray, tmp_path: Path, kind:
     transforms = {one.child_frame_id: one.transform for _, message in messages["/tf"] for one in message.transforms}
     placed = pose(transforms["PSM1_base"].translation, transforms["PSM1_base"].rotation)
     np.testing.assert_allclose(placed, base, atol=1e-6)
+
+
+def test_episode_has_corrected_columns_beside_its_own(calibrated: Path, base: np.ndarray, tmp_path: Path) -> None:
+    episode, states = tmp_path / "episode_000003.parquet", [[0.1 * k] for k in range(7)]
+    parquet.write_table(pa.table({"frame_index": list(range(7)), "observation.state": states}), episode)
+    export(calibrated, "lerobot", tmp_path / "out", "--table", episode)
+    rows = parquet.read_table(tmp_path / "out" / episode.name).to_pylist()
+    assert [row["observation.state"] for row in rows] == states
+    offsets = json.loads((calibrated / "session.json").read_text())["offsets"]
+    for row in rows[:5]:
+        result = results(calibrated)[f"{row['frame_index']:04d}"]
+        own = {name.removeprefix("psm1_corrected."): value for name, value in row.items()}
+        assert (own["status"], own["tip_probability"]) == (result["status"], result["tip_probability"])
+        assert own["jaw"] == pytest.approx(result["joints"]["jaw"])
+        assert own["yaw"] == pytest.approx(result["readings"]["yaw"] + offsets.get("yaw", 0.0))
+        np.testing.assert_allclose(np.reshape(own["camera_from_base"], (4, 4)), base, atol=1e-6)
+    assert rows[6]["psm1_corrected.status"] is None
+    ran = run("export", calibrated, "--to", "lerobot", "--out", tmp_path / "more")
+    assert ran.code == 2
+    assert "--table: expected the parquet file of the episode" in ran.err
 
 
 def test_cameras_are_read_back(calibrated: Path, tmp_path: Path) -> None:
