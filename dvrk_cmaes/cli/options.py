@@ -219,6 +219,8 @@ class UrdfOptions(InstrumentOptions):
     package_path
         NAME=DIR: folder of the ROS package NAME, for package://NAME/... paths in the URDF. Other packages are searched
         for in the URDF's folder and its parents. May be given several times.
+    description
+        Checkout of jhu-dvrk/dvrk_model: --instrument may then be a number, such as 400093, of a URDF in it.
     root_link
         Link of the URDF whose pose is estimated; the shaft must be on it or below it. roll_link by default.
     tool
@@ -227,6 +229,7 @@ class UrdfOptions(InstrumentOptions):
     """
 
     package_path: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)] = ()
+    description: Path | None = None
     root_link: str | None = None
     tool: Path | None = None
 
@@ -240,6 +243,7 @@ class UrdfOptions(InstrumentOptions):
         from dvrk_cmaes.frames.session_toml import ToolEntry
 
         packages = split_packages(self.package_path)
+        packages |= {} if self.description is None else {"dvrk_model": self.description}
         return ToolEntry(arm, self.kinematics, self.instrument or "lnd", packages, self.root_link, self.tool)
 
     def load(self) -> Body:

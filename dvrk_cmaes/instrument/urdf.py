@@ -6,7 +6,7 @@ reads the meshes and transforms them into their links' frames. ``<collision>`` g
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -34,14 +34,26 @@ def bundled_names() -> tuple[str, ...]:
     return tuple(sorted(path.parent.name for path in folder.glob("*/*.urdf") if path.stem == path.parent.name))
 
 
-def _urdf_path(source: str | Path) -> Path:
-    """Return the path of a bundled or given URDF; InputError if there is none."""
+def _urdf_path(source: str | Path, folders: Iterable[str | Path]) -> Path:
+    """Return the path of a bundled or given URDF, or of that of a number in folders; InputError if there is none."""
     name = str(source).lower()
     if isinstance(source, str) and name in bundled_names():
         return bundled_path("instruments", name, f"{name}.urdf")
     path = Path(source)
     if path.is_file():
         return path
+    searched = [*map(str, folders)]
+    if name.isdecimal() and searched:
+        found = [urdf for folder in searched for urdf in sorted(Path(folder).rglob("*.urdf"))]
+        fitting = [urdf for urdf in found if name in urdf.stem]
+        if len(fitting) == 1:
+            return fitting[0]
+        there = listed(
+            [urdf.name for urdf in fitting] or nearest_first(name, [urdf.stem for urdf in found]) or ["none"]
+        )
+        raise InputError(
+            f"{source}: expected one URDF of this number in {listed(searched)}, got {len(fitting)}: {there}"
+        )
     known = ", ".join(nearest_first(str(source), bundled_names())) or "none"
     if path.is_dir():
         raise InputError(f"{source}: a folder; expected a URDF file or a bundled instrument ({known})")
@@ -60,7 +72,7 @@ def load_instrument(
     Parameters
     ----------
     source
-        Name of a bundled instrument (see `bundled_names`) or path of a URDF.
+        Name of a bundled instrument (see `bundled_names`), path of a URDF, or the number of one in ``package_paths``.
     package_paths
         Folder of each ROS package named in ``package://NAME/...``; other packages are searched for in the URDF's folder
         and its parents.
@@ -76,7 +88,7 @@ def load_instrument(
         A file cannot be read or used; the one-line message names the file, the field and the error.
     """
     check_type("instrument", source, PATH, "a bundled instrument's name or the path of a URDF")
-    path = _urdf_path(source)
+    path = _urdf_path(source, package_paths.values())
     packages = sorted((name, str(folder)) for name, folder in package_paths.items())
     cached = cache_file(path.absolute(), packages, root_link) if use_cache else None
     folders = {name: Path(folder) for name, folder in package_paths.items()}

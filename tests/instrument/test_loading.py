@@ -255,3 +255,14 @@ def test_urdf_above_20_mb_is_refused(tmp_path: Path) -> None:
     with path.open("wb") as file:
         file.truncate(21_000_000)
     assert "21 MB; expected a URDF of at most 20 MB" in refused(path)
+
+
+def test_number_is_that_of_one_urdf_in_the_packages(tmp_path: Path) -> None:
+    paths = [write_urdf(tmp_path / "urdf", gripper(), f"instrument_{number}.urdf") for number in (400093, 400194)]
+    packages = {"dvrk_model": tmp_path}
+    joints = load_instrument("400093", package_paths=packages).joint_names
+    assert joints == load_instrument(paths[0]).joint_names
+    with pytest.raises(InputError, match=r"^400999: expected one URDF of this number in .*, got 0: instrument_"):
+        load_instrument("400999", package_paths=packages)
+    with pytest.raises(InputError, match=r"got 2: instrument_400093\.urdf, instrument_400194\.urdf"):
+        load_instrument("400", package_paths=packages)
