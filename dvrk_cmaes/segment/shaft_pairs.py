@@ -30,8 +30,6 @@ _NEAR: Final = 0.006  # of the longer side, from a line to the ends of segments 
 _PARALLEL: Final = np.cos(np.deg2rad(17.0))  # of the two lines of a pair
 _DEPTHS: Final = 0.035, 0.45  # m, of the axis
 _NEAREST, _FARTHEST = 0.015, 0.5  # m, between which the instrument is looked for along it
-_COORDINATES: Final = np.linspace(-_FARTHEST, _FARTHEST, 1001)  # m, along an axis from its point nearest to the camera
-_ALONG_VIEW: Final = np.cos(np.deg2rad(4.0))  # of an axis and the view, from which on it has no sides
 _NARROWEST: Final = 4.0  # px, width of a shaft
 _LEAST_OVERLAP: Final = 0.7  # of the width, of the stretch that has both lines
 _TRIED: Final = 50  # points along an axis, of which the one deepest in a mask is taken
@@ -236,13 +234,27 @@ def _pair(first: _Line, second: _Line, camera: Camera, radius: float, limits: Fl
         planes.append(np.array([*outward, -outward @ line.point]) @ camera.matrix)
     unit = np.stack(planes) / np.linalg.norm(planes, axis=1, keepdims=True)
     direction, point = shaft_axis(unit, radius)
-    if abs(direction[2]) > _ALONG_VIEW:
+    focals, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
+    base = (across(upper) + across(lower)) / 2 * normal
+
+    def places(at: Float64) -> Float64:
+        """Return coordinates (N,), m, on the axis of its points nearest to the rays of places (N,) along the pair."""
+        pixels = (base + at[:, None] * along - centre) / focals
+        rays = np.concatenate([pixels, np.ones((len(at), 1))], axis=1)
+        away = np.cross(rays, np.cross(direction, rays))
+        return np.asarray(-(away @ point) / (away @ direction))
+
+    if abs(direction[2]) > np.cos(np.deg2rad(4.0)):
         return None
-    # the stretch in the picture and in front of the camera
-    axis = point + _COORDINATES[:, None] * direction
-    pixels = axis[:, :2] / np.maximum(axis[:, 2:], _NEAREST) * [camera.fx, camera.fy] + [camera.cx, camera.cy]
-    shown = ((pixels >= 0) & (pixels <= limits)).all(axis=1) & (axis[:, 2] > _NEAREST) & (axis[:, 2] < _FARTHEST)
-    if shown.sum() < 2:
+    # the stretch within the picture and before the camera: beyond its vanishing point an axis is behind it
+    corners = np.array([[0, 0], [limits[0], 0], [0, limits[1]], limits]) @ along
+    steps = np.append(np.linspace(corners.min(), corners.max(), 200), middle)
+    pixels = base + steps[:, None] * along
+    seen = places(steps)
+    depths = point[2] + seen * direction[2]
+    if not _DEPTHS[0] < depths[-1] < _DEPTHS[1]:
         return None
-    begin, end = _COORDINATES[shown][[0, -1]]
-    return Pair(direction, point, float(begin), float(end), overlap + 0.25 * (high - low))
+    kept = seen[((pixels >= 0) & (pixels <= limits)).all(axis=1) & (depths > _NEAREST) & (depths < _FARTHEST)]
+    if len(kept) < 2:
+        return None
+    return Pair(direction, point, float(kept.min()), float(kept.max()), overlap + 0.25 * (high - low))
