@@ -333,42 +333,27 @@ def reported(arm: ArmSession, camera_errors: Float64) -> tuple[list[FrameReport]
     arm.check_agreement(disagreements)
     named = zip(arm.frames, disagreements, strict=True)
     reasons = {**arm.left_out, **{frame.name: text for frame, text in named if text}}
-    # what errors of all masks do to a frame is told with what they do to its own mask
+    # what errors of all masks do to a frame is stated with what they do to its own mask
     covariances = frame_covariances(model, FrameFits.of(arm.fits), replace(solution, of_masks=None))
-    bases, tasks = arm.model.base_from_root(solution.calibration.offsets), []
-    for i, (result, covariance) in enumerate(zip(_results(arm), covariances, strict=True)):
-        if bias is not None:
-            covariance += bias.of_frames[i] @ bias.squares @ bias.of_frames[i].T
-        tasks.append(_report_task(arm, i, result, (covariance, camera_errors), bases[i], disagreements[i]))
-    return setup.run(report_task, tasks), reasons
-
-
-def _report_task(
-    arm: ArmSession, i: int, result: Result, known: tuple[Float64, Float64], base_from_root: Float64, disagreement: str
-) -> ReportTask:
-    """Return what is to be reported of a frame, given its own result.
-
-    ``known`` are its covariance (D, D) by the session, and that of camera and size, (6, 6).
-    """
-    setup, without, fit = arm.setup, leave_one_out(arm.solution, i), arm.fits[i]
-    alone = arm.model.subset([i])
-    jacobian = alone.jacobian(without)[0]
-    spread = alone.covariance(without)[0] + jacobian @ arm.solution.covariance @ jacobian.T
+    bases, tasks = model.base_from_root(solution.calibration.offsets), []
     stated = {**setup.config.as_dict(), "instrument": setup.instrument.describe_limits(setup.arm)}
-    by_fit = not disagreement and not arm.frames[i].brief
-    return ReportTask(
-        arm.stored[i],
-        replace(result, config=stated) if by_fit else result,
-        fit,
-        known[0],
-        alone.predict(without)[0],
-        np.sqrt(np.diag(spread)[6:]),
-        np.asarray(fit.at.pose @ inverse(base_from_root)),
-        (*([disagreement] if disagreement else ()), *_describe_slips(arm.model, i, setup.config.session)),
-        agree=not disagreement,
-        camera_errors=known[1],
-        brief=arm.frames[i].brief,
-    )
+    for i, (frame, result, disagreement) in enumerate(zip(arm.frames, _results(arm), disagreements, strict=True)):
+        if bias is not None:
+            covariances[i] += bias.of_frames[i] @ bias.squares @ bias.of_frames[i].T
+        task = ReportTask(
+            arm.stored[i],
+            result if disagreement or frame.brief else replace(result, config=stated),
+            arm.fits[i],
+            covariances[i],
+            model.subset([i]).predict(leave_one_out(solution, i))[0],
+            np.asarray(arm.fits[i].at.pose @ inverse(bases[i])),
+            (*([disagreement] if disagreement else ()), *_describe_slips(model, i, setup.config.session)),
+            agree=not disagreement,
+            camera_errors=camera_errors,
+            brief=frame.brief,
+        )
+        tasks.append(task)
+    return setup.run(report_task, tasks), reasons
 
 
 def _results(arm: ArmSession) -> list[Result]:

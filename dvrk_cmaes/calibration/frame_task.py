@@ -100,11 +100,10 @@ class ReportTask:
     """Arguments of `report_task`.
 
     ``result`` is the frame's own result, ``fit`` its fit with the session's prior and ``covariance`` (D, D) that of the
-    fit, including the calibration's. ``predicted`` are the pose and joints that the other frames predict, and
-    ``predicted_std`` (J,) the standard deviations of these joints, rad. ``base`` (4, 4) is the camera_from_base of the
-    fit and the corrected readings, ``doubts`` the texts of reasons to doubt the frame. If ``agree`` is true, the
-    frame's new result is the fit, otherwise its own result. ``brief`` is as in `SessionFrame`, ``camera_errors`` (6, 6)
-    the covariance of `PARAMETERS`.
+    fit, including the calibration's. ``predicted`` are the pose and joints that the other frames predict. ``base``
+    (4, 4) is the camera_from_base of the fit and the corrected readings, ``doubts`` the texts of reasons to doubt the
+    frame. If ``agree`` is true, the frame's new result is the fit, otherwise its own result. ``brief`` is as in
+    `SessionFrame`, ``camera_errors`` (6, 6) the covariance of `PARAMETERS`.
     """
 
     stored: StoredFrame
@@ -112,7 +111,6 @@ class ReportTask:
     fit: FrameFit
     covariance: Float64
     predicted: Posed
-    predicted_std: Float64
     base: Float64
     doubts: tuple[str, ...]
     agree: bool
@@ -124,14 +122,12 @@ class ReportTask:
 class LeaveOneOutPrediction:
     """Prediction of a frame by the session's other frames: camera_from_root (4, 4) and joints (J,), rad.
 
-    ``joint_std`` (J,), rad, are the standard deviations of the joints.
     ``iou`` is the intersection over union of the predicted silhouette and the mask, ``contour_px`` the median distance
     of their contours, px.
     """
 
     camera_from_root: Float64
     joints: Float64
-    joint_std: Float64
     iou: float
     contour_px: float
 
@@ -219,7 +215,6 @@ def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameRe
     leave_one_out = LeaveOneOutPrediction(
         task.predicted.pose,
         task.predicted.joints,
-        task.predicted_std,
         predicted.iou,
         predicted.contour_px_median,
     )

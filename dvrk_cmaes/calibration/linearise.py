@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -130,26 +131,39 @@ class SessionOutlines:
             by = block.seen(view.name, by, values[block.name])
         return by
 
-    def lacking(self, calibration: Calibration) -> list[SeenBlock]:
-        """Return the blocks that a calibration has no values of."""
-        return [one for one in self.blocks if one.name not in calibration.values]
-
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
     """An arm's part of a ``solution`` with blocks that are seen, from ``fits`` that were linearised near it.
 
-    ``at`` are the N poses there. ``covariance`` (K, K) is that of the
-    solution, where the base is known to a metre and a radian beforehand.
-    ``plausible`` is false if an estimate on the way lay so far away that the outlines said nothing about it.
+    ``asked`` are the blocks that have to settle.
     """
 
     model: SessionModel
     solution: Solved
     fits: FrameFits
-    covariance: Float64
-    at: Posed
-    plausible: bool
+    asked: tuple[SeenBlock, ...]
+
+    @cached_property
+    def covariance(self) -> Float64:
+        """Covariance (K, K) of the solution, where the base is known to a metre and a radian beforehand."""
+        return self.solution.with_information(weak(len(self.solution.information)))[1]
+
+    @property
+    def at(self) -> Posed:
+        """The N poses at the solution."""
+        return self.fits.at.moved(marginalise(self.model, self.fits, self.solution.calibration).own)
+
+    @property
+    def plausible(self) -> bool:
+        """Whether the estimate is near enough for outlines that are linearised there to tell of the blocks."""
+        return all(one.is_plausible(self.value(one.name)) for one in self.asked)
+
+    @property
+    def settled(self) -> bool:
+        """Whether the blocks are where they were linearised."""
+        moved = [(np.abs(self.value(one.name) - self.fits.seen[one.name]), one) for one in self.asked]
+        return all((one.is_linear | (most < _SETTLED * self.std(one))).all() for most, one in moved)
 
     @property
     def information(self) -> Float64:
@@ -218,46 +232,21 @@ def linearise(arms: Sequence[ArmOutlines], solver: Solver, names: Sequence[str],
     InputError
         As `SessionOutlines.near`.
     """
-    arms = [
-        arm._replace(calibration=arm.calibration.with_blocks(*arm.outlines.lacking(arm.calibration))) for arm in arms
-    ]
+    for k, arm in enumerate(arms := list(arms)):
+        new = [one for one in arm.outlines.blocks if one.name not in arm.calibration.values]
+        arms[k] = arm._replace(calibration=arm.calibration.with_blocks(*new))
     for _ in range(passes):
         fits = [arm.outlines.near(arm.at, arm.calibration.values) for arm in arms]
         models, solutions = solver([ArmFrames(a.model, f, a.calibration) for a, f in zip(arms, fits, strict=True)])
-        each = zip(arms, fits, models, solutions, strict=True)
-        last = [_linearised(*of_arm, names=names) for of_arm in each]
-        settled = all(_settled(one, arm.outlines, names) for one, arm in zip(last, arms, strict=True))
-        if settled or not all(one.plausible for one in last):
+        asked = [tuple(one for one in arm.outlines.blocks if one.name in names) for arm in arms]
+        last = list(map(Linearised, models, solutions, fits, asked))
+        if all(one.settled for one in last) or not all(one.plausible for one in last):
             break
         arms = [
             ArmOutlines(one.model, one.solution.calibration, one.at, arm.outlines)
             for one, arm in zip(last, arms, strict=True)
         ]
     return last
-
-
-def _linearised(
-    arm: ArmOutlines,
-    fits: FrameFits,
-    model: SessionModel,
-    solution: Solved,
-    *,
-    names: Sequence[str],
-) -> Linearised:
-    """Return what an arm has of a solution."""
-    calibration = solution.calibration
-    _, covariance = solution.with_information(weak(len(calibration.axes)))
-    there = fits.at.moved(marginalise(model, fits, calibration).own)
-    asked = [one for one in arm.outlines.blocks if one.name in names]
-    plausible = all(one.is_plausible(calibration.values[one.name]) for one in asked)
-    return Linearised(model, solution, fits, covariance, there, plausible)
-
-
-def _settled(there: Linearised, outlines: SessionOutlines, names: Sequence[str]) -> bool:
-    """Whether the blocks of some names are where they were linearised."""
-    asked = [one for one in outlines.blocks if one.name in names]
-    moved = [(np.abs(there.value(one.name) - there.fits.seen[one.name]), one) for one in asked]
-    return all((one.is_linear | (most < _SETTLED * there.std(one))).all() for most, one in moved)
 
 
 def weak(count: int) -> Float64:

@@ -126,7 +126,7 @@ class ArmSession:
     which the next round starts, where a camera or a margin was estimated since.
 
     ``change`` (3,) is that of the camera, as of `stored_frame.changed`, None where the camera's file is used, and
-    ``of_change`` (3, 3) its covariance, None until it is estimated; ``rig`` what the further views differ in from the
+    ``camera_found`` whether its last estimate is plausible; ``rig`` what the further views differ in from the
     file; ``margin`` that of the masks, None until it is estimated; ``bias`` what is known of
     their errors on some sides, None until estimated.
 
@@ -141,7 +141,7 @@ class ArmSession:
     lag: SessionLag
     rig: tuple[ViewRotation, ...] = ()
     change: Float64 | None = None
-    of_change: Float64 | None = None
+    camera_found: bool = False
     margin: Margin | None = None
     bias: BiasEstimate | None = None
     cables: tuple[CableFit, CableFit] | None = None
@@ -384,8 +384,8 @@ def solved(arms: Arms) -> Arms:
             arms = _with_camera(arms)
         elif number == _ROUNDS - 1:
             arms = _with_margin(arms)
-    if setup.refine_camera:
-        _check_cameras_found(arms)
+    if setup.refine_camera and not all(arm.camera_found for arm in arms):
+        raise arms[0].camera_refused(IMPLAUSIBLE)
     return _finished(arms)
 
 
@@ -408,7 +408,7 @@ def _round(arms: Arms, scale: float, *, last: bool) -> Arms:
     try:
         return _estimated(fitted, keep_all=scale != 1.0, last=last)
     except InputError as error:
-        if arms[0].setup.refine_camera and arms[0].of_change is not None:
+        if arms[0].setup.refine_camera and arms[0].camera_found:
             raise arms[0].camera_refused(IMPLAUSIBLE) from error
         raise
 
@@ -517,26 +517,18 @@ def _as_outlines(arm: ArmSession, outlines: SessionOutlines) -> ArmOutlines:
 
 
 def _with_camera(arms: Arms) -> Arms:
-    """Estimate the change of the camera, and use it where it is plausible; else there is no covariance of it."""
+    """Estimate the change of the camera, and use it where it is plausible."""
     out = list(arms)
     for group in _by_camera(arms):
         seen = [_as_outlines(arms[k], arms[k].view_as_blocks()) for k in group]
         estimates = estimate_camera(seen, arms[group[0]].setup.config, passes=_CAMERA_PASSES)
+        found = all(estimate.plausible for estimate in estimates)
         for k, own in zip(group, estimates, strict=True):
-            out[k] = replace(arms[k], of_change=None)
-            if all(estimate.plausible for estimate in estimates):
-                calibration = own.solution.calibration
-                place = calibration.place(CAMERA)
-                out[k] = replace(arms[k], change=own.value(CAMERA), of_change=own.covariance[place, place])
-                out[k] = replace(out[k], start=calibration.alone(), moved=own.at)
+            out[k] = replace(arms[k], camera_found=found)
+            if found:
+                start = own.solution.calibration.alone()
+                out[k] = replace(out[k], change=own.value(CAMERA), start=start, moved=own.at)
     return out
-
-
-def _check_cameras_found(arms: Arms) -> None:
-    """Refuse a session whose camera was not found."""
-    for arm in arms:
-        if arm.of_change is None:
-            raise arm.camera_refused(IMPLAUSIBLE)
 
 
 def _with_margin(arms: Arms) -> Arms:
