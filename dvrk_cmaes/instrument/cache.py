@@ -1,6 +1,6 @@
 """Disk cache of loaded instruments; reading and measuring their meshes takes longer than estimating a pose.
 
-Each instrument is one file of arrays and JSON values (`io.array_file`) in the folder of `io.bundled.cache_folder`. A
+Each instrument is one file of arrays and JSON values (.npz) in the folder of `io.bundled.cache_folder`. A
 cached file is used only if the same version of the package wrote it and the URDF and mesh files still have the digests
 recorded in it, and would be found where they were.
 """
@@ -9,24 +9,29 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import io
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.config import __version__
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.instrument.locate import find_mesh
 from dvrk_cmaes.instrument.model import Instrument
-from dvrk_cmaes.io.array_file import UNUSABLE, read_arrays, write_arrays
 from dvrk_cmaes.io.bundled import cache_folder
 from dvrk_cmaes.io.files import file_digest
+from dvrk_cmaes.io.output import write_bytes
 from dvrk_cmaes.io.typed_document import prepared
 
-_FORMAT = 5
+_FORMAT = 6
+_DOCUMENT = "document"  # name of the JSON values among the arrays
+_UNUSABLE = (OSError, EOFError, ValueError, KeyError, TypeError, AttributeError, BadZipFile, InputError)
+"""Errors of a file that is missing, damaged, or has not the arrays and values that are expected."""
 
 
 def cache_file(*arguments: object) -> Path | None:
@@ -35,13 +40,15 @@ def cache_file(*arguments: object) -> Path | None:
     if folder is None:
         return None
     key = hashlib.sha256(repr((_FORMAT, __version__, *arguments)).encode()).hexdigest()[:24]
-    return folder / f"{key}.arrays"
+    return folder / f"{key}.npz"
 
 
 def read_cached(path: Path, urdf: Path, packages: Mapping[str, Path]) -> Instrument | None:
     """Read a cached instrument; None if the file is missing or damaged, or a search finds other source files now."""
     try:
-        document, arrays = read_arrays(path)
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as found:
+            arrays = {name: found[name] for name in found.files if name != _DOCUMENT}
+            document = json.loads(str(found[_DOCUMENT]))
         if any(file_digest(Path(name)) != digest for name, digest in document["files"].items()):
             return None
         if any(
@@ -49,7 +56,7 @@ def read_cached(path: Path, urdf: Path, packages: Mapping[str, Path]) -> Instrum
         ):
             return None
         return msgspec.convert(document["instrument"], prepared(Instrument), dec_hook=lambda _, name: arrays[name])
-    except (*UNUSABLE, InputError, msgspec.ValidationError):
+    except _UNUSABLE:
         return None
 
 
@@ -58,7 +65,7 @@ def write_cached(path: Path, instrument: Instrument, urdf: Path, meshes: Mapping
 
     ``meshes`` are the paths of the meshes by the names that the URDF gives them.
     """
-    arrays: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, Any] = {}
 
     def named(value: Any) -> Any:
         """Return the name of an array, which is kept by it, and the value of a number of NumPy."""
@@ -73,4 +80,6 @@ def write_cached(path: Path, instrument: Instrument, urdf: Path, meshes: Mapping
         "instrument": msgspec.to_builtins(instrument, enc_hook=named),
     }
     with contextlib.suppress(DvrkCmaesError, OSError):
-        write_arrays(path, document, arrays)
+        file, arrays[_DOCUMENT] = io.BytesIO(), json.dumps(document)
+        np.savez(file, **arrays)
+        write_bytes(path, file.getvalue())
