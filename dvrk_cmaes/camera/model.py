@@ -59,7 +59,7 @@ class Camera:
     distortion: tuple[float, ...] = ()
     model: str = "plumb_bob"
     covariance: tuple[tuple[float, ...], ...] = field(default=(), repr=False)
-    remarks: tuple[str, ...] = field(default=(), compare=False, repr=False, metadata={"content": False})
+    remarks: tuple[str, ...] = field(default=(), compare=False, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):

@@ -7,14 +7,14 @@ digest}}
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 import numpy as np
-from msgspec import Struct
 
 from dvrk_cmaes.config import __version__
 from dvrk_cmaes.errors import InputError
@@ -74,35 +74,15 @@ def _stamp(path: Path) -> str:
 
 def digest_of(value: Any) -> str:
     """Compute the digest of a tree of dataclasses, mappings, sequences, arrays and plain values."""
-    sha256 = hashlib.sha256()
-    for part in _parts(value):
-        sha256.update(len(part).to_bytes(8, "little") + part)
-    return sha256.hexdigest()[:_LENGTH]
+    data = msgspec.json.encode(value, enc_hook=_plain, order="deterministic")
+    return hashlib.sha256(data).hexdigest()[:_LENGTH]
 
 
-def _parts(value: Any) -> Iterator[bytes]:
-    """Yield the content of such a tree as bytes: names of fields, keys, lengths and values.
-
-    Fields whose metadata say so are no content: what follows from others, or is kept of a file.
-    """
+def _plain(value: Any) -> Any:
+    """Return an array as its type, shape and digest, a number of NumPy as one of Python, and others as text."""
     if isinstance(value, np.ndarray):
-        yield f"{value.dtype.str}{value.shape}".encode()
-        yield np.ascontiguousarray(value).tobytes()
-    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
-        for field in dataclasses.fields(value):
-            if field.metadata.get("content", True):
-                yield field.name.encode()
-                yield from _parts(getattr(value, field.name))
-    elif isinstance(value, Mapping):
-        for key, part in value.items():
-            yield str(key).encode()
-            yield from _parts(part)
-    elif isinstance(value, list | tuple):
-        yield str(len(value)).encode()
-        for part in value:
-            yield from _parts(part)
-    else:
-        yield repr(value).encode()
+        return value.dtype.str, value.shape, hashlib.sha256(value.tobytes()).hexdigest()
+    return value.item() if isinstance(value, np.generic) else dict(value) if isinstance(value, Mapping) else str(value)
 
 
 Manifest = dict[str, Any]
@@ -115,11 +95,11 @@ _MOST_SHOWN: Final = 5
 _ADVICE: Final = "choose another --out, or begin anew with --overwrite"
 
 
-class _Instrument(Struct):
+class _Instrument(msgspec.Struct):
     name: str
 
 
-class _ManifestFields(Struct):
+class _ManifestFields(msgspec.Struct):
     """Fields of a manifest that are used after it is read; the others are only compared."""
 
     version: str
@@ -137,7 +117,7 @@ def manifest_of(setup: BatchSetup, frames: FrameParts) -> Manifest:
         "version": __version__,
         "instrument": {"name": setup.instrument.name, "digest": instrument_digest(setup.instrument)},
         "arm": setup.arm,
-        "cameras": digest_of(setup.rig),
+        "cameras": digest_of([replace(view, camera=replace(view.camera, remarks=())) for view in setup.rig.views]),
         "config": setup.config.as_dict(),
         "segment": {
             "model": segment.model,
