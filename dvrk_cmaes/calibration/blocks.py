@@ -193,7 +193,7 @@ class SeenBlock(Block, ABC):
     def stated(self, values: Float64, std: Float64) -> FoundBlock | None:
         """State what a session finds of the unknowns (n,), which the solution leaves at zero; None of those elsewhere.
 
-        A block that states itself is tested beside the camera, and its remaining error widens the calibration.
+        A block that states itself is tested with the camera, and its remaining error widens the calibration.
         """
         return None
 

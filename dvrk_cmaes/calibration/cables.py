@@ -3,7 +3,7 @@
 Given the base, each frame's fit is an uncertain observation of the errors of roll and of the instrument's joints.
 Models of these errors, from one offset a joint to coupling, play and wander, are compared by the likelihood of all
 observations with the priors of `joints.cable_prior`. A larger model is only used where it is more likely than one
-offset by a margin; otherwise nothing is corrected. Each frame is corrected by what all other frames tell of it.
+offset by a margin; otherwise nothing is corrected. Each frame is corrected by what all other frames show of it.
 
 Frames are fitted with the corrections of the round before as a prior, and favour the model that these have. So the
 margin only holds in the last round; before, frames are fitted with the most likely model.
@@ -54,7 +54,7 @@ _MODELS: Final[tuple[tuple[Part, ...], ...]] = (
     ("coupling", "play", "wander"),
 )
 _NOISES: Final = (2.0, 1.2, 0.7, 0.4, 0.2, 0.1)  # trial factors on the standard deviations from frame to frame,
-_WANDERS: Final = (0.5, 2.0)  # and, beside 1, on those of the wander
+_WANDERS: Final = (0.5, 2.0)  # and, besides 1, on those of the wander
 _WIDENINGS: Final = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 10.0)  # trial factors on the variances of predictions
 MARGIN: Final = 4.0
 """Nats by which a larger model must be more likely than one offset a joint, for frames fitted with the larger one."""
@@ -68,7 +68,7 @@ _ALIKE_SECONDS: Final = 1.0  # over which masks err alike, so that their frames 
 
 @dataclass(frozen=True, eq=False)
 class CableSession:
-    """What a session's N frames tell of the errors of C joints, roll and those of the instrument.
+    """What a session's N frames show of the errors of C joints, roll and those of the instrument.
 
     ``names`` are the joints, ``readings`` (N, C) what was read, rad, NaN where nothing was. ``times`` (N,), s, and
     ``play`` are None where the frames have no order. ``information`` (N, C, C) and ``vector`` (N, C) are the
@@ -96,7 +96,7 @@ class CableSession:
 class CableFit:
     """A model of the errors of a session's cables, fitted to its frames.
 
-    ``names`` are the joints. ``parts`` are those beside the offsets; ``gain`` is the logarithm of the ratio of its
+    ``names`` are the joints. ``parts`` are those besides the offsets; ``gain`` is the logarithm of the ratio of its
     likelihood to that of offsets alone. ``reference`` (C,) are the readings at which coupling adds nothing.
     ``coefficients`` and ``std`` (C, 2 C + 1) are those of `joints.cables.features` with their standard deviations, zero
     where a part is missing. ``wander`` and ``noise`` (C,), rad, are standard deviations. ``offset`` (C,), rad, are the
@@ -171,9 +171,9 @@ def observe_errors(
     loading = np.zeros((6 + count, 1 + count))
     loading[_ROLL_AXIS, 0] = 1.0
     loading[6:, 1:] = np.eye(count)
-    told, slope = fits.outlines.normal_equations(off)
-    widened = np.eye(6 + count) + told @ spread
-    seen = np.linalg.solve(widened, np.concatenate([told @ loading, slope[..., None]], axis=2))
+    known, slope = fits.outlines.normal_equations(off)
+    widened = np.eye(6 + count) + known @ spread
+    seen = np.linalg.solve(widened, np.concatenate([known @ loading, slope[..., None]], axis=2))
     seen = weights[:, None, None] * (loading.T @ seen)
     read = ~np.isnan(np.concatenate([model.outer[:, 3:], model.joints], axis=1))
     information = seen[:, :, :-1] * read[:, :, None] * read[:, None]
@@ -300,12 +300,12 @@ _TABLES = {"coupling", "coupling_std", "play", "play_std", "std"}
 _CERTAIN = 2.0  # standard deviations beyond which a coefficient is described in words,
 _LEAST_COUPLING = 0.03  # if it is at least this, rad a rad,
 _LEAST_PLAY = np.deg2rad(1.0)  # or moves a joint by at least this,
-_TOLD = 0.8  # and if its standard deviation is at most this share of the one expected beforehand
+_DETERMINED = 0.8  # and if its standard deviation is at most this share of the one expected beforehand
 
 
 @dataclass(frozen=True)
 class CablesAlone:
-    """What the reading of a frame alone tells of its errors, by joint: true = reading + offset + coupling.
+    """What the reading of a frame alone shows of its errors, by joint: true = reading + offset + coupling.
 
     ``offset`` and ``noise``, rad, are mean and standard deviation of the error where the readings are the reference,
     ``coupling`` the change of the row's joint for each rad of the column's, with its standard deviation.
@@ -321,7 +321,7 @@ class CablesAlone:
 class SessionCables(Document):
     """The cables of a session, by joint in the order of ``joints``; rad and s.
 
-    parts : what is used beside the offsets: coupling, play, wander. gain : logarithm of how many times more likely the
+    parts : what is used besides the offsets: coupling, play, wander. gain : logarithm of how many times more likely the
     session is with them. reference : readings at which coupling adds nothing.
     coupling, play, narrow, width, wander, seconds, noise : as in `joints.cables.CableModel`; those of parts that are
     not used are zero. coupling_std, play_std, narrow_std : their standard deviations.
@@ -351,7 +351,7 @@ class SessionCables(Document):
         Parameters
         ----------
         fits
-            The fit that is used, and that of what the reading of a frame alone tells; None if there is none.
+            The fit that is used, and that of what the reading of a frame alone shows; None if there is none.
         """
         if fits is None or not fits[0].parts:
             return None
@@ -409,7 +409,7 @@ class SessionCables(Document):
         return Correction(off @ np.array(self.alone.coupling).T, np.square(off) @ np.square(self.alone.std).T)
 
     def in_words(self) -> Iterator[str]:
-        """Yield a line for each coefficient that is told, the largest first.
+        """Yield a line for each coefficient that is determined, the largest first.
 
         One about which the session says no more than is expected beforehand, as of readings that never change, is not.
         """
@@ -418,7 +418,7 @@ class SessionCables(Document):
         for j, name in enumerate(self.joints):
             for k, other in enumerate(self.joints):
                 value, std = self.coupling[j][k], self.coupling_std[j][k]
-                if abs(value) > max(_CERTAIN * std, _LEAST_COUPLING) and std <= _TOLD * spread[j, k]:
+                if abs(value) > max(_CERTAIN * std, _LEAST_COUPLING) and std <= _DETERMINED * spread[j, k]:
                     acts = f"{other} drags {name}" if j != k else f"{name} is scaled"
                     text = f"{acts} by {np.degrees(value):+z.0f} deg a rad, std {np.degrees(std):.0f}"
                     texts.append((abs(value), text))
@@ -439,7 +439,7 @@ class SessionCables(Document):
                 gain, variance = gain + NARROW * self.narrow[j], variance + (NARROW * self.narrow_std[j]) ** 2
                 usual += (NARROW * spread[-1]) ** 2
             size, std = abs(gain) * self.width[k], variance**0.5 * self.width[k]
-            if size > max(_CERTAIN * std, _LEAST_PLAY) and variance <= _TOLD**2 * usual:
+            if size > max(_CERTAIN * std, _LEAST_PLAY) and variance <= _DETERMINED**2 * usual:
                 acts = f"{name} stays behind its reading" if j == k else f"play of {other} moves {name}"
                 yield abs(gain), f"{acts} by up to {np.degrees(size):.0f} deg, std {np.degrees(std):.0f}"
 

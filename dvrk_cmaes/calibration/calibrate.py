@@ -96,7 +96,7 @@ def calibrate_session(
     arm
         The kinematics of the outer arm.
     refine_camera
-        Whether to estimate focal length and principal point beside the base, and to solve the session with them. Their
+        Whether to estimate focal length and principal point with the base, and to solve the session with them. Their
         prior is wide, 30 % and 300 px. By default they are only compared with those of the frames' camera.
     lag
         The lag of the images behind the readings that is taken out, zero for none. By default it is looked for in
@@ -183,7 +183,7 @@ def _stated(
     results: Mapping[str, Result],
     predicted: Mapping[str, LeaveOneOutPrediction],
 ) -> SessionCalibration:
-    """State what a session that is solved tells, without doubts."""
+    """State what a session that is solved shows, without doubts."""
     left_out, commanded, lag = given.left_out, list(given.commanded), arm.lag
     settings, instrument = arm.setup.config, arm.setup.instrument
     names = tuple(frame.name for frame in arm.frames)
@@ -221,7 +221,7 @@ def _stated(
 
 
 def _undetermined(arm: ArmSession, endoscope: SessionEndoscope | None, commanded: Sequence[str]) -> tuple[str, ...]:
-    """Return what a session does not determine, beside base and offsets; ``commanded`` are joints that never move."""
+    """Return what a session does not determine, besides base and offsets; ``commanded`` are joints that never move."""
     texts = [*arm.undetermined, *([] if endoscope is None else endoscope.undetermined)]
     if arm.lag.lag is None:
         texts.append(f"lag between images and readings: {arm.lag.undetermined}")
@@ -242,7 +242,7 @@ def _remarks(arm: ArmSession, used: Sequence[Result], commanded: Sequence[str]) 
 
 
 def _endoscope(arm: ArmSession, check: CameraCheck) -> SessionEndoscope | None:
-    """Return what a session tells of an endoscope that moves; None of one that stands still."""
+    """Return what a session shows of an endoscope that moves; None of one that stands still."""
     given_camera = replace(arm.solution, of_masks=None).covariance
     return SessionEndoscope.of(
         arm.model,

@@ -158,7 +158,7 @@ class SessionCalibration:
     def corrected_views(self, views: Sequence[V]) -> tuple[V, ...]:
         """Return the views of a rig or frame with which the session was solved: all cameras `corrected`, some changed.
 
-        The views keep what they hold beside their camera.
+        The views keep what they hold besides their camera.
 
         Parameters
         ----------
@@ -194,7 +194,7 @@ class SessionCalibration:
         return (*self.doubts, *self.remarks)
 
     def in_words(self) -> Iterator[str]:
-        """Yield what the frames tell beside base, offsets and cables, in words: endoscope, lag, cameras, masks."""
+        """Yield what the frames show besides base, offsets and cables, in words: endoscope, lag, cameras, masks."""
         yield from () if self.endoscope is None else self.endoscope.in_words()
         if self.lag is not None:
             taken = f"taken out of the readings (of other commands: {self.lag.option})"
@@ -278,11 +278,11 @@ class SessionCalibration:
         Parameters
         ----------
         readings
-            All readings of the frame by joint name, rad and m; those of the endoscope's arm tell the place.
+            All readings of the frame by joint name, rad and m; those of the endoscope's arm show the place.
         frame
-            Name of the frame, which tells the place of an endoscope that is not read where no times are known.
+            Name of the frame, which shows the place of an endoscope that is not read where no times are known.
         time
-            Time of the frame's image, s, which tells that place.
+            Time of the frame's image, s, by which that place is found.
         """
         if self.endoscope is None:
             return self
@@ -316,7 +316,7 @@ class SessionCalibration:
     ) -> tuple[SessionModel, Calibration]:
         """Return the session model for readings (N, 4) and (N, J) of other frames, and the calibration.
 
-        Of the cables, it has what the reading of a frame alone tells. The standard deviations of commanded joints are
+        Of the cables, it has what the reading of a frame alone shows. The standard deviations of commanded joints are
         wider in frames with other readings than those of the session. ``endoscope`` is where it is in the frames, as of
         `SessionEndoscope.in_frames`; without it, the base is that at the reference place.
 
@@ -405,7 +405,7 @@ def _undetermined(std: Float64, names: tuple[str, ...], config: EstimateConfig) 
     if std[3:6].max() > UNDETERMINED_ROTATION:
         texts.append(
             f"rotation of the base: standard deviation {np.degrees(std[3:6].max()):.1f} deg; the arm hardly turns, and "
-            "its rotation cannot be told from the offset of roll"
+            "its rotation cannot be distinguished from the offset of roll"
         )
     for name, deviation, before in zip(names, std[6:], offset_deviations(config, names[2:]), strict=True):
         if deviation > OBSERVABLE * before:

@@ -69,7 +69,7 @@ def find_pieces(
     *,
     alike: float = 1.0,
 ) -> tuple[Pieces, Indices] | None:
-    """Find the pieces of a session whose base or camera moved without readings that tell, None if it stood still.
+    """Find the pieces of a session whose base or camera moved without readings that show, None if it stood still.
 
     A change-point search: the pieces are those of least cost, the sum of the frames' robust costs at the base of their
     piece and of a penalty for each change. Bases to choose from are at first those of short runs of consecutive frames,

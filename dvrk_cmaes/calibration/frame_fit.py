@@ -90,7 +90,7 @@ class FrameFit(LocalFit):
     ``evaluations`` is the number of silhouettes that were rendered. ``iou`` is the intersection over union of the fit's
     silhouette and the mask; ``own_iou`` is that of the frame's own estimate, 0 if not given.
     ``side_offsets`` (2,), px, are by how much the first view's mask lies outwards of both sides of the shaft; None
-    where that is not measured. ``by_masks`` (D, 7) is the change of ``information`` times what the outline tells of the
+    where that is not measured. ``by_masks`` (D, 7) is the change of ``information`` times what the outline shows of the
     pose, per px of the mean errors of all masks (`mean_errors`); None where that is not measured.
     """
 
@@ -134,13 +134,13 @@ class FitPreset:
     """How a frame is fitted.
 
     ``steps`` are those of the refinement, with at least the tolerance of the settings; None to fit from coarse to fine.
-    ``confirmed`` tells then whether the last step, shorter than the tolerance, is drawn and undone if it raises the
-    loss. ``of_one`` is whether only the better start is refined. ``noise`` tells how the outlines' noise is measured
+    ``confirmed`` says then whether the last step, shorter than the tolerance, is drawn and undone if it raises the
+    loss. ``of_one`` is whether only the better start is refined. ``noise`` says how the outlines' noise is measured
     where the frame has no estimate of its own: by the silhouette of the fit; the same, and by that the outlines are
     weighed anew; or by what the fit drew. ``lines_per_pixel`` are those of the drawings, those of the settings by
     default. Every ``stride``-th point of the outline counts at the end; ``as_seen`` is as in
     `Coverage.near_with_sides`, as in the settings by default. ``sides`` is the factor on the standard deviations of the
-    errors of the shaft's sides. ``in_session`` tells whether the frame is one of those that are solved together: the
+    errors of the shaft's sides. ``in_session`` says whether the frame is one of those that are solved together: the
     offsets of the shaft's sides are then measured, and else what the mean errors of all masks do.
     """
 
@@ -256,7 +256,7 @@ def _refined(
     lengths: Sequence[float],
     preset: FitPreset,
 ) -> tuple[Fit, Coverage, list[Bool], int]:
-    """Refine a frame from its starts; arguments as in `fit_frame`, ``terms`` are those beside the outlines.
+    """Refine a frame from its starts; arguments as in `fit_frame`, ``terms`` are those besides the outlines.
 
     Returns the fit, the outlines' term, the fit's silhouettes (H, W) in the views, and the number of drawn ones.
     """
@@ -334,7 +334,7 @@ def outline_and_masks(
     """Return the outline's terms (1, D) near a pose, and what the mean errors of all masks do to them, (D, 7).
 
     ``sides`` is as in `FitPreset`; the errors of the shaft's sides are eliminated. An error on a side that the fit
-    discounts, since the mask shows it there, hardly changes what the fit tells. Other arguments are those of
+    discounts, since the mask shows it there, hardly changes what the fit shows. Other arguments are those of
     `Coverage.near_with_sides`, the result is as ``by_masks`` of `FrameFit`.
     """
 

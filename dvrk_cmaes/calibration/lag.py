@@ -1,7 +1,7 @@
 """The lag of the images behind the readings, which all frames of a session share.
 
 A wrong lag gives a moving arm readings of another moment, so that the frames' poses no longer agree on one
-camera_from_base. A search by the frames' own modes finds where they agree best. From then on the lag is a block beside
+camera_from_base. A search by the frames' own modes finds where they agree best. From then on the lag is a block with
 base and offsets: a change of it changes what is predicted of a frame by the velocity of its readings.
 """
 
@@ -58,9 +58,9 @@ _HYPOTHESIS_FRAMES, _TEST_FRAMES = 12, 60  # of each consensus of the search
 _DISAGREE = 2.0  # mean misfit, of at most 4, from which on the frames agree hardly, and a lag is looked for far away
 _NOWHERE = 3.0  # mean misfit from which on most frames disagree, and the best lag is one by chance
 _COARSE = 3  # steps of the search, in each of the far one: the misfit falls over many times as much
-# what a curve tells
-_TOLD_BY_A_FRAME = 1.25  # degrees of freedom, of 5 of its pose: frames of a recording share errors
-_FLAT = 1.0  # steps of the curve: root mean square of what it allows, from which on it hardly tells a lag
+# what a curve shows
+_FREEDOM_OF_A_FRAME = 1.25  # degrees of freedom, of 5 of its pose: frames of a recording share errors
+_FLAT = 1.0  # steps of the curve: root mean square of what it allows, from which on it hardly determines a lag
 _OF_A_LAG, _OF_NONE = 0.5, 0.7  # of that, least standard deviation of a lag, and of none
 _UNDETERMINED, _UNKNOWN = 2.0, 3.0  # frames, least and largest standard deviation of a lag that is not determined
 # refinement
@@ -104,11 +104,6 @@ class LagCurve(Document):
     unit: Unit
     points: tuple[tuple[Number, Number], ...]
 
-    @classmethod
-    def of(cls, unit: Unit, lags: Float64, misfit: Float64) -> LagCurve:
-        """Return the curve of lags (L,) and their misfits (L,)."""
-        return cls(unit, tuple(zip(lags.tolist(), misfit.tolist(), strict=True)))
-
     @property
     def lags(self) -> Float64:
         """The lags (L,)."""
@@ -132,12 +127,12 @@ class LagCurve(Document):
         about
             The lag from which the others are counted.
         """
-        told = _TOLD_BY_A_FRAME * frames * (self.misfit - self.misfit.min())
-        weights = np.exp(-0.5 * (told + (self.lags / unknown) ** 2))
+        squares = _FREEDOM_OF_A_FRAME * frames * (self.misfit - self.misfit.min())
+        weights = np.exp(-0.5 * (squares + (self.lags / unknown) ** 2))
         return float(min(np.sqrt(weights @ (self.lags - about) ** 2 / weights.sum()), np.hypot(unknown, about)))
 
     def least_std(self, frames: int, unknown: float, value: float, *, applied: bool) -> float:
-        """Return the least standard deviation of a lag, in the unit of the curve: 0 where the curve tells the lag.
+        """Return the least standard deviation of a lag, in the unit of the curve: 0 where the curve shows the lag.
 
         Where the curve is flat, as of few frames that follow each other closely, errors that the frames share displace
         its minimum.
@@ -173,13 +168,13 @@ class SessionLag:
     """The readings of an arm's N frames at any lag of the images, and what is known of the lag.
 
     ``series`` are all readings, None where the frames have no order; ``times`` (N,) those of the frames' images on its
-    clock, ``middle`` the middle of the times of all frames. ``interpolable`` tells whether the readings may be
+    clock, ``middle`` the middle of the times of all frames. ``interpolable`` says whether the readings may be
     interpolated, because the rows follow each other closely in time. ``step`` is that of the search, in the unit of the
     series; for readings that cannot be interpolated it is the time between their rows, None if that is not constant.
 
     ``lag`` is None where it is not determined, and ``undetermined`` then says why; ``curve`` is the disagreement of the
-    frames as a function of the lag, ``nowhere`` tells that they agree at none. ``fixed`` tells that the lag was given,
-    or is not looked for: neither is it searched nor refined. ``alone`` tells that the other arms of the session have
+    frames as a function of the lag, ``nowhere`` says that they agree at none. ``fixed`` says that the lag was given,
+    or is not looked for: neither is it searched nor refined. ``alone`` says that the other arms of the session have
     another one.
 
     Values (2,) of a lag are that in the middle of the frames, in the unit of the series, and its change by time.
@@ -393,18 +388,17 @@ class SessionLag:
         """Return the changes (N, D) of what is predicted of the frames, by one standard deviation of the lag.
 
         They are in the root's axes and of the joints, m and rad; zero where the readings cannot be interpolated, or a
-        frame has none there. A lag that the frames do not determine has the standard deviation that the curve tells,
+        frame has none there. A lag that the frames do not determine has the standard deviation that the curve shows,
         but at least `_UNDETERMINED` frames.
         """
         none = np.zeros((len(model.outer), 6 + len(model.names)))
         if not self.interpolable:
             return none
         series, count = self._known, len(self.times)
-        told = None if self.lag is None else (self.lag.std_seconds if series.unit == "s" else self.lag.std_frames)
         unknown, applied = _UNKNOWN * series.interval, self.applied is not None
-        if told is not None:
+        if self.known is not None:
             least = self.curve.least_std(count, unknown, self.value, applied=applied) if self.curve else 0.0
-            step = max(told, least)
+            step = max(self.known[1], least)
         else:
             allowed = self.curve.root_mean_square(count, unknown) if self.curve and len(self.curve.lags) > 2 else 0.0
             step = max(_UNDETERMINED * series.interval, allowed)
@@ -462,7 +456,8 @@ class SessionLag:
                 near = max(low, about - _COARSE * step), min(high, about + _COARSE * step)
                 lags, costs = self._costs(model, modes, *near, step)
         best, synchronous = int(np.argmin(costs)), int(np.argmin(np.abs(lags)))
-        found = replace(self, curve=LagCurve.of(unit, lags[np.isfinite(costs)], costs[np.isfinite(costs)]))
+        pairs = zip(lags.tolist(), costs.tolist(), strict=True)
+        found = replace(self, curve=LagCurve(unit, tuple((lag, cost) for lag, cost in pairs if np.isfinite(cost))))
         if not np.isfinite(costs[best]):
             return replace(found, undetermined="too few frames have readings at any lag"), None
         if not self.interpolable and best != synchronous and costs[best] > IMPROVEMENT * costs[synchronous]:
@@ -569,23 +564,23 @@ def refine_lag(arms: Sequence[LateFrames], start: float) -> Refined | None:
 def in_common(lags: Sequence[SessionLag]) -> list[SessionLag]:
     """Return the lags of a session's arms, of which those that agree become their mean by the standard deviations.
 
-    An arm whose frames do not tell its lag has that of the others. A lag that disagrees, or at which few
+    An arm whose frames do not show its lag has that of the others. A lag that disagrees, or at which few
     frames would have readings, is that of its arm alone: arms may have clocks of their own.
     """
     if len(lags) < 2:
         return list(lags)
     units = {lag.series.unit for lag in lags if lag.series is not None}
     usable = [lag.interpolable and not lag.fixed and (lag.lag is None or lag.known is not None) for lag in lags]
-    told = [known for lag, use in zip(lags, usable, strict=True) if use and (known := lag.known) is not None]
-    if len(units) != 1 or not all(usable) or not told:
+    found = [known for lag, use in zip(lags, usable, strict=True) if use and (known := lag.known) is not None]
+    if len(units) != 1 or not all(usable) or not found:
         return [replace(lag, alone=True) for lag in lags]
-    values, stds = np.array(told).T
+    values, stds = np.array(found).T
     weights = stds**-2.0
     mean, std = weights @ values / weights.sum(), weights.sum() ** -0.5
     if (np.abs(values - mean) > _AGREE * stds).any():
         return [replace(lag, alone=True) for lag in lags]
-    found = Refined(float(mean), float(std))
-    shared = [replace(lag, lag=None).with_estimate(found) for lag in lags]
+    common = Refined(float(mean), float(std))
+    shared = [replace(lag, lag=None).with_estimate(common) for lag in lags]
     if not all(lag.lag is not None and lag.has_readings(lag.value).sum() >= _LEAST_AT_LAG for lag in shared):
         return [replace(lag, alone=True) for lag in lags]
     return [replace(lag, undetermined="") for lag in shared]

@@ -1,6 +1,6 @@
 """Outlines of a session as functions of its blocks, linearised until the blocks that are estimated are settled.
 
-`linearise` estimates blocks that change what is seen beside a calibration: the outlines are approximated about poses
+`linearise` estimates blocks that change what is seen, and a calibration: the outlines are approximated about poses
 and blocks, all are estimated, and that is repeated until the blocks stay where they are.
 """
 
@@ -180,7 +180,7 @@ class Linearised:
         return np.hypot(np.sqrt(own), block.least_std)
 
     def with_std(self, changed: Mapping[str, Float64 | float]) -> tuple[Float64, Float64]:
-        """Return what the last linearisation tells if other standard deviations hold beforehand.
+        """Return what the last linearisation shows if other standard deviations hold beforehand.
 
         Parameters
         ----------
@@ -214,7 +214,7 @@ class ArmOutlines(NamedTuple):
 
 
 def linearise(arms: Sequence[ArmOutlines], solver: Solver, names: Sequence[str], *, passes: int) -> list[Linearised]:
-    """Estimate blocks beside the calibrations of arms, linearising the outlines until those of some names are settled.
+    """Estimate blocks with the calibrations of arms, linearising the outlines until those of some names are settled.
 
     Parameters
     ----------

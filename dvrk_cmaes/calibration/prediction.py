@@ -38,7 +38,7 @@ In 12 recordings with known truth the wrist was 1.5 to 2.5 standard deviations (
 keyframes before an image expect; the arm was 0.5 to 1.
 """
 _CALIBRATION_ERROR = 1.3  # factor on the calibration's covariance, for errors that all masks of a recording share
-_UNTOLD_M, _UNTOLD_RAD = 0.01, 0.2  # standard deviations of the arm's motion where its readings are missing or frozen
+_UNREAD_M, _UNREAD_RAD = 0.01, 0.2  # standard deviations of the arm's motion where its readings are missing or frozen
 _STEP = 1e-3  # of a change of the readings, of the difference by which the change of the pose is found
 
 
@@ -166,7 +166,7 @@ class Prediction:
         told = np.ones(len(outer), np.bool_) if told is None else told
         covariance = calibration_covariance(calibration, widened)
         jacobian = np.pad(jacobian, ((0, 0), (0, 0), (0, len(covariance) - jacobian.shape[2])))
-        wide = np.diag([_UNTOLD_M**2] * 3 + [_UNTOLD_RAD**2] * (3 + len(joint_names)))
+        wide = np.diag([_UNREAD_M**2] * 3 + [_UNREAD_RAD**2] * (3 + len(joint_names)))
         prior[~(told if moving is None else told & moving)] += wide
         changes = _changes(late, errors, len(joint_names))
         image, off = _by_changes(calibration, outer, joints, joint_names, changes, endoscope, at)
@@ -218,12 +218,12 @@ class FoundLag(NamedTuple):
 
 
 def lag_of(calibration: SessionCalibration, unknown: float) -> FoundLag | None:
-    """Return the lag that is taken out of the readings, and its standard deviation; None if nothing tells one.
+    """Return the lag that is taken out of the readings, and its standard deviation; None if nothing shows one.
 
-    Where it is not determined, none is taken out, and the curve of disagreement tells how large it may be;
+    Where it is not determined, none is taken out, and the curve of disagreement says how large it may be;
     ``unknown`` is the standard deviation, s, beforehand. Where the curve is flat, as with few keyframes, the standard
     deviation is larger than that of the least disagreement: errors that keyframes share displace that, or make a lag
-    where none is told.
+    where there is none.
     """
     found, curve = calibration.lag, calibration.lag_curve
     curve = curve if curve is not None and curve.unit == "s" and len(curve.lags) > 1 else None
@@ -240,7 +240,7 @@ def lag_of(calibration: SessionCalibration, unknown: float) -> FoundLag | None:
 
 
 def lag_and_std(calibration: SessionCalibration, unknown: float) -> FoundLag:
-    """Return the lag as `lag_of`; 0 with the standard deviation ``unknown`` where nothing tells one."""
+    """Return the lag as `lag_of`; 0 with the standard deviation ``unknown`` where nothing shows one."""
     return lag_of(calibration, unknown) or FoundLag(0.0, unknown)
 
 

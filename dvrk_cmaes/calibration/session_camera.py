@@ -1,7 +1,7 @@
 """What a session's frames determine of its camera: the change they fit, and whether they contradict the camera file.
 
 The change has three unknowns: the logarithm of the focal length's factor and the shift of the principal point, px. It
-is estimated beside the margin of the masks, which makes the shaft wider as a longer focal length does. A single frame
+is estimated with the margin of the masks, which makes the shaft wider as a longer focal length does. A single frame
 hardly determines it, because a change of its pose has nearly the same effect. In a session, the arm's kinematics fix
 the distances between the remote centre of motion and the wrists, and thereby the scale along the optical axis.
 """
@@ -60,7 +60,7 @@ IMPLAUSIBLE = (
     "camera: its estimate from these frames is not plausible; frames with other poses of the arm, above all another "
     "insertion, tell it better"
 )
-"""Why a session does not tell its camera: the estimate lies too far away for outlines that were linearised here."""
+"""Why a session does not determine its camera: the estimate is too far away for outlines that were linearised here."""
 
 _NOT_ASKED = "camera: not tested, as the settings say"
 _CAUSES = (
@@ -115,7 +115,7 @@ class Lens(SeenBlock):
         return np.asarray(np.einsum("nk,nkp->np", outline.points.normals, moved))
 
     def stated(self, values: Float64, std: Float64) -> FoundBlock:
-        """State both, and what the frames alone tell of them where that contradicts the file."""
+        """State both, and what the frames alone show of them where that contradicts the file."""
         own = std / self._shared
         gained = np.maximum(own**-2 - self.std**-2, 1e-12)
         alone, spread = values / own**2 / gained, self._shared / np.sqrt(gained)
@@ -162,11 +162,6 @@ class SessionCamera(Document):
         contradicts = _distance(change, covariance, file) > _CONTRADICTION
         if not (contradicts or applied):
             change, covariance = _with_file(change, covariance, file)
-        return cls.at(change, covariance, width, contradicts=contradicts, applied=applied)
-
-    @classmethod
-    def at(cls, change: Float64, covariance: Float64, width: int, *, contradicts: bool, applied: bool) -> SessionCamera:
-        """State a change (3,) with its covariance (3, 3), of images of some width, px."""
         scale, std = float(np.exp(change[0])), np.sqrt(np.diag(covariance))
         return cls(
             focal_scale=scale,
@@ -211,7 +206,7 @@ class SessionCamera(Document):
         )
 
     def describe_found(self, guess: Camera) -> str:
-        """Describe the camera that was found without a file, and what would tell it better.
+        """Describe the camera that was found without a file, and what would determine it better.
 
         Parameters
         ----------
@@ -254,7 +249,7 @@ class SessionCamera(Document):
 
 
 def camera_undetermined(model: SessionModel) -> str | None:
-    """Say why a session cannot tell its camera; None if it can."""
+    """Say why a session cannot determine its camera; None if it can."""
     return _lacking(model, _MANY_FRAMES, "tell")
 
 
@@ -272,11 +267,11 @@ def _lacking(model: SessionModel, least: int, purpose: str) -> str | None:
 
 @dataclass(frozen=True, eq=False)
 class CameraCheck:
-    """What a session's frames tell about the camera, and what errors of the camera do to the calibration.
+    """What a session's frames show about the camera, and what errors of the camera do to the calibration.
 
     ``camera`` is None where the session does not test it, and ``undetermined`` then says why. ``covariance`` (K, K) is
     the mean square of the calibration's errors, in the order of `SessionModel.axes`, that errors of the camera cause.
-    ``bias`` and ``shaft`` are what the outlines tell of errors of the masks on some sides, beside the camera, and of
+    ``bias`` and ``shaft`` are what the outlines show of errors of the masks on some sides, with the camera, and of
     the radius of the shaft, with the camera of the file; None where the camera cannot be changed. ``blocks`` are what
     is found of those that state themselves (`SeenBlock.stated`). ``square`` (3, 3)
     is the mean square of what is wrong with the camera that was used; None where it is not tested.
@@ -348,7 +343,7 @@ def check_camera(
 
     ``applied`` is the change (3,) of the camera with which the frames were fitted, with which the block starts; None if
     they were fitted with the file's. The other arguments are as in `estimate_camera`. Where an estimate is not
-    plausible, only what the frames tell at the camera of the file is left, which may contradict it or say nothing.
+    plausible, only what the frames show at the camera of the file is left, which may contradict it or say nothing.
     """
     reasons = [_lacking(arm.model, _LEAST_FRAMES, "test") for arm in arms]
     reason = None if None in reasons else reasons[0]
@@ -422,13 +417,13 @@ def _checked(
 
 
 def _mean_square(change: Float64, covariance: Float64, file: Float64) -> Float64:
-    """Return the mean square (3, 3) of the errors of a camera file that is used as it is, by what frames and file tell.
+    """Return the mean square (3, 3) of the errors of a camera file that is used as it is, by what frames and file show.
 
     A file is a measurement with the standard deviations ``file``, or with some probability one of another focal length,
-    another principal point or both, of which frames say more the better they tell the camera.
+    another principal point or both, of which frames say more the better they show the camera.
     """
-    told = (1 + np.diag(covariance) / (_WRONG_STD * file) ** 2) ** -2
-    shares = _WRONG_SHARE * np.array([told[0], told[1:].mean()])
+    known = (1 + np.diag(covariance) / (_WRONG_STD * file) ** 2) ** -2
+    shares = _WRONG_SHARE * np.array([known[0], known[1:].mean()])
     logs, squares = [], []
     for wrong in itertools.product((False, True), repeat=2):
         std = file * np.where([wrong[0], wrong[1], wrong[1]], _WRONG_STD, 1.0)

@@ -1,4 +1,4 @@
-"""What a session tells of an endoscope that moves, as in ``session.json``: places, and the camera in its tip."""
+"""What a session shows of an endoscope that moves, as in ``session.json``: places, and the camera in its tip."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from dvrk_cmaes.joints.names import ECM_JOINTS
 Row = tuple[Number, ...]
 
 UNDETERMINED_ROTATION: Final = np.deg2rad(5.0)
-"""Standard deviation, rad, of the base or the camera in the tip, beyond which a session does not tell it."""
-_BEFORE: Final = 0.7  # of the deviations beforehand, from which on an offset is not told
+"""Standard deviation, rad, of the base or the camera in the tip, beyond which a session does not determine it."""
+_BEFORE: Final = 0.7  # of the deviations beforehand, from which on an offset is not determined
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +192,7 @@ class SessionEndoscope:
         if self.places and open_ones:
             texts.append(
                 f"offsets of {', '.join(open_ones)}: as wide as expected beforehand; those of yaw, insertion and roll "
-                "cannot be told from other places of arm and camera"
+                "cannot be distinguished from other places of arm and camera"
             )
         return texts
 

@@ -91,7 +91,7 @@ _TO_TRY = (
 
 @dataclass(frozen=True, eq=False)
 class ArmSetup:
-    """What an arm's session is estimated with, beside its frames.
+    """What an arm's session is estimated with, besides its frames.
 
     ``series`` are the readings as functions of time, with the frames' times; None if the lag is not to be estimated.
     ``instrument``, ``arm`` and ``config`` are the instrument, the kinematics of the outer arm and all settings. ``run``
@@ -165,7 +165,7 @@ class ArmSession:
         frames
             Frames with a pose, its covariance and readings of all outer joints, in the order they were taken.
         rig
-            The rotations of the further views against the file that the frames' own results tell; those that are clear
+            The rotations of the further views against the file that the frames' own results show; those that are clear
             are taken out of the frames.
         """
         readings, names = [frame.result.readings for frame in frames], setup.instrument.joint_names
@@ -477,7 +477,7 @@ def _with_variances(arms: Arms, fits: Sequence[FrameFits]) -> Arms:
 
 
 def _with_cables(arm: ArmSession, fits: FrameFits, margin: float) -> ArmSession:
-    """Fit what cables do to the readings, beside the blocks: `cables` says why."""
+    """Fit what cables do to the readings, besides the blocks: `cables` says why."""
     usual, std = Deviations.of(arm.setup.config.session, arm.model.names), arm.model.offset_std[1:]
     cables = estimate_cables(arm.model, fits, arm.solution, arm.lag, usual, std, margin)
     own = cables[0].deviations(arm.model.deviations)
@@ -595,5 +595,5 @@ def _with_check(arm: ArmSession, check: CameraCheck) -> ArmSession:
 
 
 def with_common_lag(arms: Arms) -> Arms:
-    """Return arms with the lag that their frames' modes tell in common."""
+    """Return arms with the lag that their frames' modes show in common."""
     return [replace(arm, lag=lag) for arm, lag in zip(arms, in_common([arm.lag for arm in arms]), strict=True)]

@@ -1,4 +1,4 @@
-"""What a session's frames tell about its rig: how each further view differs from the file.
+"""What a session's frames show about its rig: how each further view differs from the file.
 
 A frame states by which rotation each further view would fit the first one better. The errors of the masks differ from
 frame to frame, while a wrong calibration turns the view in all of them alike. At one distance a wrong baseline

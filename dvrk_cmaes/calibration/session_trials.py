@@ -94,13 +94,8 @@ def _with_lag_of_modes(arm: ArmSession) -> ArmSession:
 
 def _solved(arms: Arms) -> Arms:
     """Solve a session at the lag that its frames' own modes determine."""
-    return solved(_initialised(started(arms)))
-
-
-def _initialised(arms: Arms) -> Arms:
-    """Initialise each arm, and share the endoscope where they agree on it."""
-    first, *others = [initialised(arm) for arm in arms]
-    return _with_common_endoscope(first, others) if others else [first]
+    first, *others = [initialised(arm) for arm in started(arms)]
+    return solved(_with_common_endoscope(first, others))
 
 
 def _with_common_endoscope(first: ArmSession, others: Arms) -> Arms:
@@ -109,7 +104,7 @@ def _with_common_endoscope(first: ArmSession, others: Arms) -> Arms:
     Of one that is not read, these are the moves of the camera between pieces, where the arms have the same pieces.
     """
     endoscope, own = first.model.endoscope, first.solution.calibration.endoscope
-    if endoscope is None or own is None:
+    if endoscope is None or own is None or not others:
         return [first, *others]
     first = _with_shared_endoscope(first, first)
     out = [first]
@@ -140,7 +135,7 @@ def _with_shared_endoscope(arm: ArmSession, first: ArmSession) -> ArmSession:
 
 
 def _of_endoscope(arm: ArmSession) -> Float64:
-    """Return the covariance (M, M) of the endoscope's values that the frames of an arm tell."""
+    """Return the covariance (M, M) of the endoscope's values that the frames of an arm show."""
     place = arm.solution.calibration.place("endoscope")
     return arm.solution.covariance[place, place]
 
@@ -171,7 +166,7 @@ def predict_from_first(
     usable = [frame for frame in first if not frame.lacks]
     try:
         arm = initialised(started([ArmSession.of(setup, usable)])[0])
-    except InputError:  # too few frames, or they contradict each other: then they tell nothing about the others
+    except InputError:  # too few frames, or they contradict each other: then they show nothing about the others
         return {}
     misfit = arm.solution.misfit / (6 + len(setup.instrument.joint_names))
     if float((misfit < INLIER_MISFIT).mean()) < _LEAST_AGREEING:

@@ -309,14 +309,14 @@ def solve_with_modes(model: SessionModel, modes: Sequence[Sequence[Mode]], start
 
 
 def solution_at(arms: Sequence[ArmFrames]) -> list[Solved]:
-    """Return the calibrations of arms with what all frames, weighted there, tell of them."""
+    """Return the calibrations of arms with what all frames, weighted there, show of them."""
     equations = [_equations(*arm) for arm in arms]
     whole = Whole.of(equations)
     return [Solved(**vars(own), whole=whole, arm=number) for number, own in enumerate(equations)]
 
 
 def _equations(model: SessionModel, fits: FrameFits, calibration: Calibration) -> ArmEquations:
-    """Return what the frames of an arm tell of a calibration."""
+    """Return what the frames of an arm show of a calibration."""
     frames, jacobian = marginalise(model, fits, calibration), model.jacobian(calibration)
     misfit = _misfit(frames, fits.optimum(calibration.further))
     weights = robust_weights(misfit, 6 + len(model.names))

@@ -25,7 +25,7 @@ class StoredView:
     """One view of a frame with one bit a pixel, small enough to be stored for all frames and sent to processes.
 
     ``name``, ``evidence`` and ``view_from_camera`` (4, 4), m, are those of the view, without the images ``mask`` and
-    ``weight`` of the evidence, which are (0, 0). ``counts`` tells which pixels have weight 1, None where all have.
+    ``weight`` of the evidence, which are (0, 0). ``counts`` says which pixels have weight 1, None where all have.
     """
 
     name: str

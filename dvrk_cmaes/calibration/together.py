@@ -213,7 +213,7 @@ def against_setup(
 def arms_document(
     calibrations: Mapping[str, SessionCalibration], bases: Mapping[str, RelativeBase], setup: Mapping[str, SetupJoints]
 ) -> dict[str, Any]:
-    """Return what arms.json has: the bases relative to the first arm's, and what all tell of an endoscope that is read.
+    """Return what arms.json has: the bases relative to the first arm's, and what all show of an endoscope that is read.
 
     ``bases`` are of `relative_bases`, ``setup`` of `against_setup`.
     """

@@ -257,5 +257,5 @@ def test_roll_offset_is_undetermined_without_rotation(bundled_body: Body) -> Non
         slid[-1] = replace(slid[-1], data=frames[0].data)
     solved = rough(bundled_body, slid)
     assert any(text.startswith("rotation of the base: standard deviation") for text in solved.calibration.undetermined)
-    assert any("cannot be told from the offset of roll" in text for text in solved.calibration.undetermined)
+    assert any("cannot be distinguished from the offset of roll" in text for text in solved.calibration.undetermined)
     assert abs(np.degrees(solved.calibration.offsets["roll"])) < 20

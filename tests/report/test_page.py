@@ -138,7 +138,7 @@ def test_doubts_of_a_calibration_come_first_and_what_it_cannot_tell_is_said(tmp_
         "lag": Lag(2.0, 0.1, 0.08, 0.004),
         "left_out": {"e": "its mask is of another arm"},
     }
-    curve = LagCurve.of("frames", np.arange(-5.0, 16.0), np.linspace(0, 4, 21))
+    curve = LagCurve("frames", tuple(zip(range(-5, 16), np.linspace(0, 4, 21).tolist(), strict=True)))
     session = calibration(frames, cables=cables_of(), lag_curve=curve, **words)
     text = page_of(write_calibrated(tmp_path, frames, session)).text
     order = (
