@@ -66,16 +66,10 @@ def instrument_region(mask: Bool, gap: float, prompts: Prompts) -> Bool:
         return float(areas[i]) * (1.0 if meets_border(labels == i, prompts.outside) else _INSIDE_SHARE)
 
     chosen = marked or {max(range(1, count), key=weighted)}
-    least = _LEAST_SHARE * max(areas[i] for i in chosen)
-    pieces = [i for i in range(1, count) if i not in chosen and areas[i] >= least]
-    while pieces:
-        far = cv2.distanceTransform(np.isin(labels, list(chosen), invert=True).astype(np.uint8), cv2.DIST_L2, 5)
-        near = {i for i in pieces if far[_window(measures[i])][labels[_window(measures[i])] == i].min() <= gap}
-        if not near:
-            break
-        chosen |= near
-        pieces = [i for i in pieces if i not in near]
-    return np.isin(labels, list(chosen))
+    first = np.isin(np.arange(count), list(chosen))
+    pieces = (first | (areas >= _LEAST_SHARE * areas[first].max()) & (areas > 0))[labels]
+    _, joined = cv2.connectedComponents((distance_to(pieces) <= gap / 2).astype(np.uint8), connectivity=8)
+    return np.asarray(pieces & np.isin(joined, joined[first[labels]]))
 
 
 def fill_holes(mask: Bool) -> Bool:
@@ -99,9 +93,3 @@ def _regions(mask: Bool, connectivity: int) -> tuple[int, NDArray[np.int32], NDA
     """Label the regions of a mask; returns the number of labels with the background's 0, labels (H, W), statistics."""
     count, labels, measures, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=connectivity)
     return count, np.asarray(labels, np.int32), np.asarray(measures, np.int32)
-
-
-def _window(measures: NDArray[np.int32]) -> tuple[slice, slice]:
-    """Return the rows and columns of a region's bounding box, from its statistics."""
-    left, top, width, height = (int(value) for value in measures[:4])
-    return slice(top, top + height), slice(left, left + width)
