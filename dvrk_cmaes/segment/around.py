@@ -8,7 +8,6 @@ A minimum graph cut follows the edges of the image.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from typing import Final
 
 import cv2
@@ -169,42 +168,32 @@ def segmentation_around(
     refined, at half the size if the image is large. ``colours`` are of any size; without ``local`` they count alone.
     ``free`` is as there, of the size at which the mask is found, where the silhouette is not rough.
     """
-    height, width = silhouette.shape
-    longest = min(max(height, width), FINEST)
-
-    @cache
-    def reduced(size: int) -> tuple[Image, Prompts]:
+    longest, expected = min(max(silhouette.shape), FINEST), silhouette
+    steps: list[tuple[int, float | Float32, int]] = [(longest, free, _PASSES)]
+    if rough:
+        half = longest // 2 if longest // 2 >= _COARSEST else longest
+        steps = [(half, ROUGH * half / longest, _PASSES), (longest, _REFINED, 1)]
+    for size, band, passes in steps:
         at, scale = size_within(silhouette.shape, size)
-        return shrunk(image, size), prompts.resized(*at, scale) if scale < 1 else prompts
-
-    def around(expected: Bool, size: int, free: float | Float32, passes: int) -> Around | None:
-        small, fixed = reduced(size)
-        at = small.shape[1], small.shape[0]
-        known = None if colours is None else np.asarray(cv2.resize(colours, at), np.float32)
-        return mask_around(
+        small, fixed = shrunk(image, size), prompts.resized(*at, scale) if scale < 1 else prompts
+        found = mask_around(
             small,
             resized(expected, at),
-            free,
-            colours=known,
+            band,
+            colours=None if colours is None else np.asarray(cv2.resize(colours, at), np.float32),
             local=local,
             edges=local,
             straight=rough,
             prompts=fixed,
             passes=passes,
         )
-
-    if rough:
-        half = longest // 2 if longest // 2 >= _COARSEST else longest
-        first = around(silhouette, half, ROUGH * half / longest, _PASSES)
-        found = None if first is None else around(first.mask, longest, _REFINED, 1)
-    else:
-        found = around(silhouette, longest, free, _PASSES)
-    if found is None:
-        return nothing_found(silhouette.shape)
-    small, fixed = reduced(longest)
+        if found is None:
+            return nothing_found(silhouette.shape)
+        expected = found.mask
+    assert found is not None
     measured = found.measured or measure_colours(np.ascontiguousarray(small[found.window]))
     judged = assess_mask(found.mask, found.window, found.by_colour, measured, prompts=fixed)
-    return Segmentation(resized(found.mask, (width, height)), *judged)
+    return Segmentation(resized(found.mask, silhouette.shape[1::-1]), *judged)
 
 
 def guide(image: Image) -> Float32:
