@@ -93,14 +93,6 @@ class PoseError:
             errors.append(Measured(name, "deg", abs(value), most))
         return errors
 
-    def beyond(self, tolerance: Tolerance) -> list[str]:
-        """List a message for each quantity that exceeds its tolerance; empty if the pose counts as right."""
-        return [
-            f"{measured.quantity} {measured.error:.2f} {measured.unit} (at most {measured.at_most:g})"
-            for measured in self.measured(tolerance)
-            if measured.exceeds
-        ]
-
 
 class RotationError(NamedTuple):
     """Angle of a rotation error, of its part that tilts the root's z axis, and of its part about that axis, deg."""

@@ -8,24 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import isclose
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta, Struct, field
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.instrument.arm import INSERTION_OFFSET
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.io.typed_document import Number, Transform, convert_document, refused
 
 TOOL = "a dVRK tool description (JSON)"
-KINEMATIC = "a dVRK kinematic description (JSON)"
 
-_ARM_JOINTS = ("yaw", "pitch", "insertion")
 _TOOL_JOINTS = ("roll", "wrist_pitch", "wrist_yaw")
 
 
@@ -82,40 +78,6 @@ class Tool:
     tooltip_offset: Float64
 
 
-@dataclass(frozen=True)
-class Kinematics:
-    """Kinematic parameters of an arm.
-
-    Parameters
-    ----------
-    name
-        Name of the description file.
-    limits
-        Lower and upper limits of yaw, pitch (rad) and insertion (m), by joint name.
-    insertion_offset
-        Constant added to the insertion reading, m.
-    arm
-        The arm of ``INSERTION_OFFSET`` with this insertion offset; None if there is none.
-    """
-
-    name: str
-    limits: Mapping[str, tuple[float, float]]
-    insertion_offset: float
-    arm: str | None
-
-
-def is_description(document: Mapping[str, Any]) -> bool:
-    """Whether a JSON document is a description of a tool or an arm: it has an object ``DH``."""
-    return isinstance(document.get("DH"), dict)
-
-
-def is_arm(description: Mapping[str, Any]) -> bool:
-    """Whether a description that has not been checked is of an arm, not of a tool: a joint of it is ``insertion``."""
-    joints = description["DH"].get("joints")
-    rows = joints if isinstance(joints, list) else []
-    return any(isinstance(row, dict) and row.get("name") == "insertion" for row in rows)
-
-
 def read_tool(path: str | Path) -> Tool:
     """Read a tool's description.
 
@@ -124,7 +86,7 @@ def read_tool(path: str | Path) -> Tool:
     InputError
         A field is missing or wrong, or the roll axis is not the shaft's axis; the message names the file and field.
     """
-    description = _read(path, _TOOL_JOINTS, TOOL)
+    description = _read(path)
     joints = {joint.name: joint for joint in description.dh.joints}
     roll = joints["roll"]
     if any((roll.alpha, roll.a, roll.theta, roll.offset)) or roll.type == "prismatic":
@@ -136,26 +98,10 @@ def read_tool(path: str | Path) -> Tool:
     return Tool(Path(path).name, roll.d, limits, joints["wrist_yaw"].a, offset)
 
 
-def read_kinematics(path: str | Path) -> Kinematics:
-    """Read an arm's description.
-
-    Raises
-    ------
-    InputError
-        A field is missing or wrong; the message names the file and the field.
-    """
-    joints = {joint.name: joint for joint in _read(path, _ARM_JOINTS, KINEMATIC).dh.joints}
-    insertion = joints["insertion"]
-    offset = insertion.offset + insertion.d
-    known = [arm for arm, value in INSERTION_OFFSET.items() if isclose(value, offset, abs_tol=1e-4)]
-    limits = {name: (joint.qmin, joint.qmax) for name, joint in joints.items()}
-    return Kinematics(Path(path).name, limits, offset, known[0] if known else None)
-
-
-def _read(path: str | Path, names: tuple[str, ...], expected: str) -> _Description:
-    """Read a description whose DH table has the joints ``names``."""
+def _read(path: str | Path) -> _Description:
+    """Read a description whose DH table has the joints of a tool."""
     where = str(path)
-    description = convert_document(where, read_json_object(path, expected=expected, comments=True), _Description)
+    description = convert_document(where, read_json_object(path, expected=TOOL, comments=True), _Description)
     rows: dict[str, _Limits] = {f"DH.joints[{k}]": row for k, row in enumerate(description.dh.joints)}
     if description.jaw is not None:
         rows["jaw"] = description.jaw
@@ -163,7 +109,7 @@ def _read(path: str | Path, names: tuple[str, ...], expected: str) -> _Descripti
         if row.qmin > row.qmax:
             raise refused(where, f"{name}.qmax", f"at least qmin, {row.qmin:g}", row.qmax)
     joints = [joint.name for joint in description.dh.joints]
-    if not set(names) <= set(joints):
+    if not set(_TOOL_JOINTS) <= set(joints):
         names_read = listed(joints) or "none"
-        raise InputError(f"{where}: DH.joints: expected {', '.join(names)} of {expected}, got {names_read}")
+        raise InputError(f"{where}: DH.joints: expected {', '.join(_TOOL_JOINTS)} of {TOOL}, got {names_read}")
     return description
