@@ -56,8 +56,8 @@ from dvrk_cmaes.runs.pool import run as run_tasks
 from dvrk_cmaes.runs.summary import summarize, timing_of
 from dvrk_cmaes.runs.worker import (
     BatchSetup,
-    PackedSetup,
     failed_outcome,
+    packed_setup,
     prepare_process,
     relative_text,
     run_task,
@@ -245,7 +245,7 @@ def outcomes(setup: BatchSetup, todo: Sequence[FrameFiles], workers: Workers) ->
     if not todo:
         return
     given, stop = workers.executor, workers.stop
-    packed = PackedSetup.of(setup)
+    packed = packed_setup(setup)
     call = functools.partial(run_task, packed)
     with ExitStack() as opened:
         if given is None:

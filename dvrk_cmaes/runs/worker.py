@@ -8,7 +8,6 @@ result with the reason.
 from __future__ import annotations
 
 import functools
-import hashlib
 import os
 import pickle
 import socket
@@ -55,19 +54,13 @@ class BatchSetup:
     calibration: SessionCalibration | None = None
 
 
-@dataclass(frozen=True)
-class PackedSetup:
-    """A pickled setup, its SHA-256 as ``key``, and host and process in which it was pickled."""
+Packed = tuple[bytes, str, int]
+"""A pickled setup, and host and process in which it was pickled."""
 
-    key: str
-    data: bytes = field(repr=False, compare=False)
-    home: tuple[str, int]
 
-    @staticmethod
-    def of(setup: BatchSetup) -> PackedSetup:
-        """Pickle a setup."""
-        data = pickle.dumps(setup, protocol=pickle.HIGHEST_PROTOCOL)
-        return PackedSetup(hashlib.sha256(data).hexdigest(), data, _here())
+def packed_setup(setup: BatchSetup) -> Packed:
+    """Pickle a setup."""
+    return pickle.dumps(setup, protocol=pickle.HIGHEST_PROTOCOL), *_here()
 
 
 def prepare_instrument(instrument: Instrument) -> Body:
@@ -84,12 +77,12 @@ def prepared_body(key: str) -> Body:
     return _prepared[key]
 
 
-def prepare_process(packed: PackedSetup) -> None:
+def prepare_process(packed: Packed) -> None:
     """Unpickle a setup and build its scenes, before the first frame."""
     _unpacked(packed)
 
 
-def run_task(packed: PackedSetup, files: FrameFiles) -> FrameOutcome:
+def run_task(packed: Packed, files: FrameFiles) -> FrameOutcome:
     """Estimate one frame; never raises."""
     return estimated(*_unpacked(packed), files)
 
@@ -138,17 +131,18 @@ def relative_text(folder: Path, text: str) -> str:
     return " ".join(text.replace(f"{folder}{os.sep}", "").splitlines())
 
 
-def _unpacked(packed: PackedSetup) -> tuple[BatchSetup, Body]:
+def _unpacked(packed: Packed) -> tuple[BatchSetup, Body]:
     """Return a setup and its body, which are made once in each process."""
     with _unpacking:
         return _made(packed)
 
 
 @functools.lru_cache(maxsize=2)
-def _made(packed: PackedSetup) -> tuple[BatchSetup, Body]:
-    if packed.home != _here():
+def _made(packed: Packed) -> tuple[BatchSetup, Body]:
+    data, *home = packed
+    if tuple(home) != _here():
         limit_library_threads()
-    setup: BatchSetup = pickle.loads(packed.data)
+    setup: BatchSetup = pickle.loads(data)
     return setup, prepare_instrument(setup.instrument)
 
 

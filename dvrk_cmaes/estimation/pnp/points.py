@@ -6,7 +6,6 @@ therefore cause errors of the pose. Pixels are undistorted first, and the solver
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -17,10 +16,6 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import Float64, Indices, apply, exp_rotation, transform
 
 Solver = Literal["sqpnp", "ransac"]
-SOLVERS: Final[Mapping[Solver, str]] = {
-    "sqpnp": "SQPNP on all points, then Levenberg-Marquardt",
-    "ransac": "random samples of points (RANSAC), then the iterative solver on those that agree",
-}
 LEAST_POINTS: Final = 4
 """Least number of points for a unique solution."""
 _RANSAC_PIXELS: Final = 8.0
