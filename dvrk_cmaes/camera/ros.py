@@ -8,16 +8,23 @@ from typing import Any
 import numpy as np
 
 from dvrk_cmaes.camera.model import Camera
+from dvrk_cmaes.camera.rig import View
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.atomic import write_text
 from dvrk_cmaes.io.yaml_file import yaml_text
 
 
-def write_camera_info(
-    path: str | Path, camera: Camera, name: str, *, baseline: float = 0.0, right_from_left: Float64 | None = None
-) -> None:
+def write_camera_info(path: str | Path, camera: Camera, name: str, *, baseline: float = 0.0) -> None:
     """Write a ROS camera_info YAML file for images that are not rectified; arguments as of `camera_info_text`."""
-    write_text(path, camera_info_text(camera, name, baseline=baseline, right_from_left=right_from_left))
+    write_text(path, camera_info_text(camera, name, baseline=baseline))
+
+
+def view_info_text(view: View, name: str) -> str:
+    """Return ROS camera_info in YAML of a view of a rig, for images that are not rectified."""
+    place = view.view_from_camera
+    if np.array_equal(place, np.eye(4)):
+        return camera_info_text(view.camera, name)
+    return camera_info_text(view.camera, name, baseline=float(np.linalg.norm(place[:3, 3])), right_from_left=place)
 
 
 def camera_info_text(

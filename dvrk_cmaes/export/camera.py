@@ -10,7 +10,7 @@ import numpy as np
 from msgspec import Struct
 
 from dvrk_cmaes.camera import View
-from dvrk_cmaes.camera.ros import camera_info_text
+from dvrk_cmaes.camera.ros import view_info_text
 from dvrk_cmaes.camera.view_document import ViewDocument
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.export.request import Exported, ExportRequest
@@ -40,7 +40,7 @@ def camera_files(where: str, document: dict[str, Any]) -> tuple[dict[str, str], 
     if not views:
         raise InputError(f"{where}: views: expected the cameras that were used, got none: calibrate the session again")
     names = [view.name for view in views] if len(views) > 1 else [_ALONE]
-    files = {f"ros/{name}.yaml": _camera_info(name, view) for name, view in zip(names, views, strict=True)}
+    files = {f"ros/{name}.yaml": view_info_text(view, name) for name, view in zip(names, views, strict=True)}
     files[f"opencv/{'stereo' if len(views) > 1 else _ALONE}.xml"] = _storage(views)
     if any(view.camera.model == "equidistant" for view in views):
         return files, ("plain YAML has no fisheye lenses: left out",)
@@ -50,14 +50,6 @@ def camera_files(where: str, document: dict[str, Any]) -> tuple[dict[str, str], 
 def _is_first(view: View) -> bool:
     """Return whether a view is the first one of its rig."""
     return bool(np.array_equal(view.view_from_camera, np.eye(4)))
-
-
-def _camera_info(name: str, view: View) -> str:
-    """Return a ROS camera_info file."""
-    if _is_first(view):
-        return camera_info_text(view.camera, name)
-    place = view.view_from_camera
-    return camera_info_text(view.camera, name, baseline=float(np.linalg.norm(place[:3, 3])), right_from_left=place)
 
 
 def _plain(view: View) -> str:

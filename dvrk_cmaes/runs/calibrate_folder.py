@@ -14,21 +14,19 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
 from dvrk_cmaes.calibration.calibrate import SolvedSession, begin_arm
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import Run, SessionFrame
 from dvrk_cmaes.calibration.session_problem import ArmSetup
 from dvrk_cmaes.calibration.together import Begun
 from dvrk_cmaes.camera import Rig
-from dvrk_cmaes.camera.ros import write_camera_info
+from dvrk_cmaes.camera.ros import view_info_text
 from dvrk_cmaes.camera.view_document import ViewDocument
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
-from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.io.atomic import write_json, write_text
 from dvrk_cmaes.io.output import opened_output, whole_folder, write_bytes
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.results.folder import ALONE, SESSION
@@ -160,10 +158,6 @@ def write_cameras(calibration: SessionCalibration, rig: Rig, out: Path) -> None:
     if not refined and not any(view.applied for view in calibration.rig):
         return
     first, *others = calibration.corrected_views(rig.views)
-    write_camera_info(out / (f"{first.name}.yaml" if others else CAMERA), first.camera, "refined")
+    write_text(out / (f"{first.name}.yaml" if others else CAMERA), view_info_text(first, "refined"))
     for view in others:
-        place = view.view_from_camera
-        baseline = float(np.linalg.norm(place[:3, 3]))
-        write_camera_info(
-            out / f"{view.name}.yaml", view.camera, f"refined {view.name}", baseline=baseline, right_from_left=place
-        )
+        write_text(out / f"{view.name}.yaml", view_info_text(view, f"refined {view.name}"))
