@@ -118,16 +118,13 @@ class BiasEstimate:
     """What a session tells of the errors on some sides, and what they do to it.
 
     ``px`` (6,) are their means, and ``std_px`` (6,) their prior: their usual size, and next to
-    nothing where they would be negative. ``values`` (K + E,) and ``covariance`` (K + E, K + E) are those of the
-    calibration, as changes, and all blocks with errors of this size. ``squares`` (7, 7) are the mean squares, px^2,
+    nothing where they would be negative. ``squares`` (7, 7) are the mean squares, px^2,
     of the margin that is left on the masks and of what of these errors may be the masks'. ``of_calibration`` (K, 7) and
     ``of_frames`` (N, D, 7) are the errors of the calibration and of the frames' poses that each of them causes, per px.
     """
 
     px: Float64
     std_px: Float64
-    values: Float64
-    covariance: Float64
     squares: Float64
     of_calibration: Float64
     of_frames: Float64
@@ -271,7 +268,6 @@ def estimate_bias(there: Linearised, bias: MaskBias, priors: Mapping[str, Float6
     of_outlines = np.linalg.inv(there.covariance[place, place])
     slope = of_outlines @ there.value(BIAS)
     std = _likely_sizes(of_outlines - np.eye(len(slope)) / _BIAS_STD**2, slope, bias.usual_px)
-    known, spread = there.with_std({BIAS: std})
     both = np.r_[calibration.place(MARGIN), place]
     left, of_errors = there.with_std({BIAS: std, **priors})
     left[calibration.place(MARGIN)] -= bias.margin_px
@@ -282,8 +278,6 @@ def estimate_bias(there: Linearised, bias: MaskBias, priors: Mapping[str, Float6
     return BiasEstimate(
         np.maximum(left[place], 0.0),
         std,
-        known,
-        spread,
         np.asarray(of_errors[np.ix_(both, both)] + np.outer(left[both], left[both]), dtype=np.float64),
         of_calibration,
         by_all[:, :, :count] @ of_calibration - by_all[:, :, both],

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
-from helpers.resized import with_shaft
-from helpers.session_worlds import make_frames_in_memory
+from helpers.resized import with_shaft, with_size
+from helpers.session_worlds import SMALL, make_frames_in_memory
 
 from dvrk_cmaes import Body, calibrate_session
 from dvrk_cmaes.calibration.session_shaft import SessionShaft
+from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.silhouette import Renderer
+from dvrk_cmaes.synth.masks import SLIGHT, simulate_segmentation
 
 
 @pytest.mark.parametrize("scale", [1.0, 1.2, 0.8])
@@ -29,6 +33,24 @@ def test_another_radius_is_a_doubt_and_the_right_one_is_none(bundled_body: Body,
         assert abs(found.shaft.radius_scale - 1) < 0.02
     else:
         assert (found.shaft.radius_scale - 1) * (1 - scale) > 0
+
+
+def test_whole_instrument_that_is_larger_is_found_and_is_a_doubt(bundled_body: Body) -> None:
+    """Outlines that are linearised at the model's size alone show a fraction of it, as those far off are outliers."""
+    _, truths, frames = make_frames_in_memory(bundled_body, 8, level="clean")
+    renderer, seen, rng = Renderer(with_size(bundled_body, 1.05), SMALL), [], np.random.default_rng(1)
+    for frame, truth in zip(frames, truths, strict=True):
+        (mask,) = renderer.masks(truth.camera_from_root[None], truth.values[None])
+        assert frame.result.camera_from_root is not None
+        pose = frame.result.camera_from_root.copy()
+        pose[:3, 3] /= 1.05
+        result = replace(frame.result, camera_from_root=pose)
+        data = FrameData.of(simulate_segmentation(mask, rng, SLIGHT).mask, SMALL)
+        seen.append(replace(frame, data=data, result=result))
+    found = calibrate_session(seen, bundled_body).calibration
+    assert found.shaft is not None
+    assert abs(found.shaft.whole_scale - 1.05) < 3 * found.shaft.std_whole_scale < 0.05
+    assert any("all of it is" in doubt for doubt in found.doubts)
 
 
 def test_doubt_says_by_how_much() -> None:
