@@ -12,11 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from dvrk_cmaes.camera import Camera, Rig
-from dvrk_cmaes.camera.document import read_fields, unwrapped
-from dvrk_cmaes.camera.endovis import endovis_document, is_endovis
-from dvrk_cmaes.camera.fields import Intrinsics, Side, Size
+from dvrk_cmaes.camera.document import FORMAT, read_fields, unwrapped
+from dvrk_cmaes.camera.fields import Intrinsics, Side, Size, take_field, take_numbers
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import exp_rotation
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.plain_xml import parse_xml
 from dvrk_cmaes.io.yaml_file import read_yaml_mapping
@@ -172,3 +174,36 @@ def guessed_camera(size: Size, focal: float | None = None) -> CameraFile:
     camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
     kind = f"none; a guess with a focal length of {focal:g} px and no lens distortion"
     return CameraFile(Rig.of_camera(camera), kind)
+
+
+_FIELD = re.compile(r"^\s*([A-Za-z0-9-]+)\s*:\s*([^/\n]*)", re.MULTILINE)
+
+
+def is_endovis(text: str) -> bool:
+    """Whether a text is EndoVis' camera_calibration.txt."""
+    return re.search(r"^\s*Camera-0-F\s*:", text, re.MULTILINE) is not None
+
+
+def endovis_document(where: str, text: str) -> dict[str, Any]:
+    """Convert EndoVis' camera_calibration.txt, of both eyes, lengths in mm; InputError names a wrong field."""
+    fields = dict(_FIELD.findall(text))
+
+    def numbers(name: str, count: int) -> list[float]:
+        """Return the numbers of a field."""
+        _, entry = take_field(where, fields, (name,))
+        return take_numbers(where, name, entry.split(), count)
+
+    document: dict[str, Any] = {FORMAT: "EndoVis calibration"}
+    for name, field in (("image_width", "Width"), ("image_height", "Height")):
+        (document[name],) = numbers(field, 1)
+    for number, camera in enumerate(("Camera-0", "Camera-1"), start=1):
+        if number == 2 and f"{camera}-F" not in fields:
+            continue
+        (fx, fy), (cx, cy) = numbers(f"{camera}-F", 2), numbers(f"{camera}-C", 2)
+        skew = numbers(f"{camera}-Alpha", 1)[0] if f"{camera}-Alpha" in fields else 0.0
+        document[f"K{number}"] = [fx, skew * fx, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
+        document[f"D{number}"] = numbers(f"{camera}-K", 5)
+    if "Extrinsic-T" in fields:
+        document["R"] = exp_rotation(np.array(numbers("Extrinsic-Omega", 3))).ravel().tolist()
+        document["T"] = numbers("Extrinsic-T", 3)
+    return document

@@ -84,8 +84,8 @@ class PoseOptions:
     ----------
     pose_of
         Take --joints as a table of poses (time, x, y, z, qx, qy, qz, qw, and jaw if known), or the poses of a LeRobot
-        data set as those, of this point: tip, the
-        dVRK's tip frame (measured_cp), or wrist-yaw, the origin of the wrist yaw axis with the tip's axes.
+        data set as those, of this point: tip, the dVRK's tip frame (measured_cp), or wrist-yaw, the origin of the wrist
+        yaw axis with the tip's axes.
     pose_base
         Frame that the poses are given in: local, the arm's base (local/measured_cp), or a file with the pose of the
         arm's base in that frame (measured_cp). Required with --pose-of.
@@ -103,11 +103,19 @@ class PoseOptions:
 
 @Parameter(name="*", group=VIDEO)
 @dataclass(frozen=True, kw_only=True)
-class VideoFiles:
-    """A video, and what goes with it.
+class RecordingFiles:
+    """A recording, its parts that are read, and what goes with it.
 
     Parameters
     ----------
+    side
+        Eye of a stereo endoscope whose images are imported, left by default, or both. Of a ROS recording, it is a word
+        in the name of the images' topic.
+    arm
+        Arm, such as PSM1, whose readings are imported, where a recording has those of several. Of a ROS recording, it
+        may be given several times: then session.toml names all of them, each with its own readings.
+    episode
+        Number of the episode of a LeRobot data set.
     camera
         Camera file. Required for a video; for other recordings it replaces their own.
     joints
@@ -116,15 +124,18 @@ class VideoFiles:
     video_start
         Time of the first image of a video, or of stereo videos, on the clock of the readings, in seconds.
     layout
-        Where the eyes are in the pictures of a stereo video, or of a folder of pictures; --side chooses one or both. By
+        Where the eyes are in the pictures of a stereo video; --side chooses one or both. By
         default found from the size of the camera's images.
     crop
-        x,y,w,h: the part of the pictures of a video, or of a folder of pictures, that is the camera's, in pixels.
+        x,y,w,h: the part of the pictures of a video that is the camera's, in pixels.
     masks
         Masks of the images: a folder of them, named as the rows of --joints or by the numbers of the images, a video of
         masks, or a COCO file.
     """
 
+    side: Annotated[Literal["left", "right", "both"] | None, Parameter(group=FOLDER)] = None
+    arm: Annotated[tuple[str, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = ()
+    episode: Annotated[int, Parameter(group=FOLDER)] = 0
     camera: Path | None = None
     joints: Path | None = None
     video_start: float = 0.0
@@ -133,7 +144,8 @@ class VideoFiles:
     masks: Path | None = None
 
     def check(self) -> None:
-        """Raise an InputError for a start that is none."""
+        """Raise an InputError for a start or an episode that is none."""
+        check_range("--episode", self.episode, 0, MOST_EPISODES)
         if not math.isfinite(self.video_start):
             raise InputError(f"--video-start: expected a finite number of seconds, got {self.video_start:g}")
         check_range("--video-start", self.video_start, -LATEST, LATEST, "seconds")
@@ -180,35 +192,12 @@ class SelectedImages:
             raise InputError(f"--start, --end: expected 0 <= start < end in seconds, got {got}")
 
 
-@Parameter(name="*", group=FOLDER)
-@dataclass(frozen=True, kw_only=True)
-class RecordingParts:
-    """Which part of a recording is read.
-
-    Parameters
-    ----------
-    side
-        Eye of a stereo endoscope whose images are imported, left by default, or both. Of a ROS recording, it is a word
-        in the name of the images' topic.
-    arm
-        Arm, such as PSM1, whose readings are imported, where a recording has those of several. Of a ROS recording, it
-        may be given several times: then session.toml names all of them, each with its own readings.
-    episode
-        Number of the episode of a LeRobot data set.
-    """
-
-    side: Literal["left", "right", "both"] | None = None
-    arm: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)] = ()
-    episode: int = 0
-
-
 def import_recording(
     recording: Path,
     /,
     *,
-    part: RecordingParts = RecordingParts(),
     selected: SelectedImages = SelectedImages(),
-    video: VideoFiles = VideoFiles(),
+    files: RecordingFiles = RecordingFiles(),
     out: Annotated[Path, Parameter(group=OUTPUT)],
     topics: TopicOptions = TopicOptions(),
     poses: PoseOptions = PoseOptions(),
@@ -240,13 +229,11 @@ def import_recording(
         ROS 1 .bag file, ROS 2 folder (or its .mcap or .db3 file), or any video that OpenCV reads. Or the folder of a
         clip in SurgSync's raw layout or of a packed episode (timestamp.parquet), a folder of SurgPose
         (regular/left_video.mp4, api_jp_data.yaml), a LeRobot data set (meta/info.json), one with the videos of a stereo
-        endoscope (left.mp4 and right.mp4), or one of pictures.
-    part
-        Which part of the recording is read.
+        endoscope (left.mp4 and right.mp4).
     selected
         Which images are read, and at which times their readings.
-    video
-        A video, and what goes with it.
+    files
+        Which parts of the recording are read, and what goes with it.
     out
         Session folder to write; it must be new or empty unless --overwrite is given.
     topics
@@ -260,8 +247,7 @@ def import_recording(
     """
     selected.check()
     taken, said = _lag(selected.lag, selected.calibration)
-    video.check()
-    check_range("--episode", part.episode, 0, MOST_EPISODES)
+    files.check()
     from dvrk_cmaes.frames.own_files import check_own_folder
     from dvrk_cmaes.frames.picture_fit import parse_crop
     from dvrk_cmaes.recording.pose_table import read_pose_table
@@ -270,19 +256,19 @@ def import_recording(
     from dvrk_cmaes.recording.write_session import write_session
 
     check_own_folder(recording)
-    posed, arm = _poses(poses), part.arm[0] if len(part.arm) == 1 else None
-    tables = () if posed or video.joints is None else joint_files([video.joints], arm) or ()
+    posed, arm = _poses(poses), files.arm[0] if len(files.arm) == 1 else None
+    tables = () if posed or files.joints is None else joint_files([files.joints], arm) or ()
     asked = Asked(
-        side=None if part.side == "both" else part.side,
-        both=part.side == "both",
-        arms=part.arm,
-        camera=video.camera,
-        joints=read_pose_table(video.joints, *posed) if posed and video.joints else next(iter(tables), None),
-        posed=None if video.joints else posed,
-        start=video.video_start,
-        layout=video.layout,
-        crop=None if video.crop is None else parse_crop("--crop", video.crop),
-        episode=part.episode,
+        side=None if files.side == "both" else files.side,
+        both=files.side == "both",
+        arms=files.arm,
+        camera=files.camera,
+        joints=read_pose_table(files.joints, *posed) if posed and files.joints else next(iter(tables), None),
+        posed=None if files.joints else posed,
+        start=files.video_start,
+        layout=files.layout,
+        crop=None if files.crop is None else parse_crop("--crop", files.crop),
+        episode=files.episode,
         **vars(topics),
     )
     with open_recording(recording, asked) as opened:
@@ -296,7 +282,7 @@ def import_recording(
             tolerance=selected.tolerance,
             lag=taken,
             overwrite=overwrite,
-            masks=video.masks,
+            masks=files.masks,
         )
     for source in summary.readings:
         if source.without:

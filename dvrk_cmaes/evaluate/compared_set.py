@@ -11,8 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.published_poses import read_published_poses
-from dvrk_cmaes.frames.truth import read_golden
+from dvrk_cmaes.frames.truth import read_golden, read_published_poses
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.results.followed import result_of_row

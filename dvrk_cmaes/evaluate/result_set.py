@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.published_poses import read_published_poses
 from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.frames.truth import read_published_poses
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.arm import Arm, stated_kinematics
 from dvrk_cmaes.joints.reading import read_joint_table

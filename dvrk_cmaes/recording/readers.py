@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.session_folder import is_session_layout
 from dvrk_cmaes.recording.bag import open_bag
 from dvrk_cmaes.recording.lerobot import is_lerobot, open_lerobot
 from dvrk_cmaes.recording.recording import Asked, Recording
 from dvrk_cmaes.recording.surgpose import is_surgpose, open_surgpose
 from dvrk_cmaes.recording.surgsync import is_packed, is_surgsync, open_packed, open_surgsync
 from dvrk_cmaes.recording.topics import is_bag
-from dvrk_cmaes.recording.video import has_stereo_videos, open_pictures, open_stereo_videos, open_video
+from dvrk_cmaes.recording.video import has_stereo_videos, open_stereo_videos, open_video
 
 
 class Reader(NamedTuple):
@@ -37,7 +36,6 @@ READERS: Final = (
     Reader("a clip of SurgSync", is_surgsync, open_surgsync, "arms both"),
     Reader("stereo videos", has_stereo_videos, open_stereo_videos, "both start"),
     Reader("a ROS recording", is_bag, open_bag, f"arms both {_TOPICS}"),
-    Reader("a folder of pictures", Path.is_dir, open_pictures, "both layout crop"),
     Reader("a video", lambda path: True, open_video, "both start layout crop"),
 )
 """The first that knows a path opens it."""
@@ -61,8 +59,8 @@ def open_recording(path: Path, asked: Asked) -> Iterator[Recording]:
         The path is a session, an option is asked for that its kind does not take, or as the kind's reader.
     """
     reader = next(reader for reader in READERS if reader.knows(path))
-    if reader.open is open_pictures and is_session_layout(path):
-        raise InputError(f"{path}: expected a recording, got a session folder (masks or images): no import is needed")
+    if reader.open is open_video and path.is_dir():
+        raise InputError(f"{path}: expected a recording, got a folder: one of pictures or a session needs no import")
     for name in dict.fromkeys(" ".join(other.takes for other in READERS).split()):
         if getattr(asked, name) != getattr(Asked(), name) and name not in reader.takes.split():
             option = _OPTIONS.get(name, f"--{name.replace('_', '-')}")
@@ -74,7 +72,7 @@ def open_recording(path: Path, asked: Asked) -> Iterator[Recording]:
         with reader.open(path, asked) as recording:
             yield recording
         return
-    if asked.camera is not None and reader.open not in (open_pictures, open_video):
+    if asked.camera is not None and reader.open is not open_video:
         raise InputError("--camera: expected none with --side both, whose cameras are those of the recording")
     of_left, of_right = replace(asked, side="left"), replace(asked, side="right")
     with reader.open(path, of_left) as left, reader.open(path, of_right) as right:

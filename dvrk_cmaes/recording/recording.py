@@ -46,7 +46,7 @@ class Asked:
     start
         Time of a video's first image in that of the readings, s.
     layout, crop
-        Of a video or a folder of pictures: where the eyes are in a picture, and its part that is used, as in
+        Of a video: where the eyes are in a picture, and its part that is used, as in
         `eye_window`.
     episode
         Number of the episode of a LeRobot data set.

@@ -36,9 +36,8 @@ from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.io.yaml_file import read_yaml_by_frame
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
 from dvrk_cmaes.joints.names import joint_reading
-from dvrk_cmaes.recording.camera import read_camera_bytes
+from dvrk_cmaes.recording.camera import read_camera_bytes, read_stereo_ini
 from dvrk_cmaes.recording.recording import Asked, Recording, frame_name, listed_readings, series_of_rows
-from dvrk_cmaes.recording.stereo_ini import read_stereo_ini
 from dvrk_cmaes.recording.surgsync import chosen_arm
 from dvrk_cmaes.recording.video import check_rate, frames_of
 

@@ -1,4 +1,4 @@
-"""Readers of videos with OpenCV, and of folders of pictures, with camera and readings from separate files.
+"""Readers of videos with OpenCV, with camera and readings from separate files.
 
 A folder with the videos of a stereo endoscope has one for each eye, named left and right (``left.mp4``,
 ``suturing_left.avi``), the cameras left.yaml and right.yaml or one camera.yaml, and joints.csv.
@@ -20,8 +20,7 @@ import numpy as np
 
 from dvrk_cmaes.camera.files import Side, read_camera_file
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.images import read_image
-from dvrk_cmaes.frames.session_folder import UNCALIBRATED, image_files
+from dvrk_cmaes.frames.session_folder import UNCALIBRATED
 from dvrk_cmaes.frames.video_frames import SUFFIXES, Window, eye_of, eye_window, open_capture
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.short_text import listed
@@ -33,12 +32,6 @@ from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording
 _EXPECTED = "a video that OpenCV reads, or a ROS recording (.bag, .mcap, .db3 or a folder)"
 _RATE_TOLERANCE = 0.01
 _SIDES: Final[tuple[Side, ...]] = ("left", "right")
-
-
-def _window(path: Path, camera: Path, size: tuple[int, int], asked: Asked) -> Window:
-    """Return the part of pictures of a size that is the eye's; InputError if that does not fit the camera file."""
-    lens = read_camera_file(camera, side=asked.eye, size=size).camera
-    return eye_window(path, size, lens, asked.layout, asked.eye, asked.crop)
 
 
 @contextmanager
@@ -69,7 +62,8 @@ def open_video(path: Path, asked: Asked) -> Iterator[Recording]:
     with open_capture(path, expected=_EXPECTED) as capture:
         total = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
         size = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
-        window = _window(path, camera, size, asked)
+        lens_of_eye = read_camera_file(camera, side=asked.eye, size=size).camera
+        window = eye_window(path, size, lens_of_eye, asked.layout, asked.eye, asked.crop)
         notes = [
             f"camera: {camera}",
             *said,
@@ -90,29 +84,6 @@ def open_video(path: Path, asked: Asked) -> Iterator[Recording]:
             tuple(notes),
             names=asked.row_names(total),
         )
-
-
-@contextmanager
-def open_pictures(path: Path, asked: Asked) -> Iterator[Recording]:
-    """Open a folder of pictures, in the order of their names, one each second; arguments and errors as `open_video`.
-
-    The readings may be missing.
-    """
-    files = image_files(path)
-    if not files:
-        raise InputError(f"{path}: expected pictures (PNG or JPEG), or a recording, got none")
-    camera = asked.camera
-    if camera is None:
-        raise InputError(f"{path}: --camera: a folder of pictures needs a camera file; got none; {UNCALIBRATED}")
-    first = read_image(next(iter(files.values())))
-    window = _window(path, camera, (first.shape[1], first.shape[0]), asked)
-    readings, _ = asked.given_readings()
-    notes = (f"images: {len(files)} pictures, {window[2]} x {window[3]} px each", f"camera: {camera}")
-    recorded = (
-        RecordedImage(number, number * NANOSECONDS, lambda file=file: encode_png(eye_of(read_image(file), window)))  # type: ignore[misc]
-        for number, file in enumerate(files.values())
-    )
-    yield Recording(path, recorded, len(files), read_camera_bytes(camera), {"": readings}, notes)
 
 
 def has_stereo_videos(path: Path) -> bool:

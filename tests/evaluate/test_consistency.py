@@ -17,7 +17,7 @@ from dvrk_cmaes import InputError, read_session
 from dvrk_cmaes.evaluate.agreement import measure_agreement
 from dvrk_cmaes.evaluate.consistency import base_spread, converge, converge_shafts, rcm_spread
 from dvrk_cmaes.evaluate.result_set import read_result_set
-from dvrk_cmaes.frames.published_poses import read_published_poses
+from dvrk_cmaes.frames.truth import read_published_poses
 from dvrk_cmaes.geometry import frame_along, rotation_about_z
 from dvrk_cmaes.instrument.arm import base_from_root
 from dvrk_cmaes.report.consistency_picture import draw_axes
