@@ -27,8 +27,7 @@ from scipy.optimize import least_squares, minimize
 
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.bundled import bundled_path
-from dvrk_cmaes.joints.cables import CableModel, features
-from dvrk_cmaes.joints.play import play_of
+from dvrk_cmaes.joints.cables import CableModel, features, play_of
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]

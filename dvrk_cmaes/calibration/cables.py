@@ -39,8 +39,7 @@ from dvrk_cmaes.joints.cable_inference import (
     run_filters,
 )
 from dvrk_cmaes.joints.cable_prior import CablePrior, cable_prior
-from dvrk_cmaes.joints.cables import features
-from dvrk_cmaes.joints.play import NARROW, Play
+from dvrk_cmaes.joints.cables import NARROW, Play, features
 
 Part = Literal["coupling", "play", "wander"]
 Row = tuple[Number, ...]

@@ -28,8 +28,7 @@ from dvrk_cmaes.calibration.session_rig import ViewRotation, turns_of
 from dvrk_cmaes.calibration.session_shaft import SessionShaft
 from dvrk_cmaes.calibration.solve import Solved
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.camera.rig import V, turned_views
-from dvrk_cmaes.camera.view_document import ViewDocument
+from dvrk_cmaes.camera.rig import V, ViewDocument, turned_views
 from dvrk_cmaes.config import CameraConfig, EstimateConfig, ReadingSigmas, __version__
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64

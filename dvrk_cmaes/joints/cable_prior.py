@@ -41,10 +41,6 @@ class _Fit(Struct):
     noise_deg: list[float]
 
 
-class _Fits(Struct):
-    fits: tuple[_Fit, ...]
-
-
 @dataclass(frozen=True, eq=False)
 class CablePrior:
     """What is expected of the cables of an arm before anything of it was measured.
@@ -65,7 +61,9 @@ def measured_cables(names: tuple[str, ...]) -> tuple[CableModel, ...]:
     """
     path = bundled_path("cables", "measured.json")
     document = read_json_object(path, expected="fits of cables")
-    return tuple(_of_joints(fit, names) for fit in convert_document(str(path), document, _Fits).fits)
+    return tuple(
+        _of_joints(fit, names) for fit in convert_document(str(path), document, dict[str, tuple[_Fit, ...]])["fits"]
+    )
 
 
 @cache

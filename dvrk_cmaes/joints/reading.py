@@ -6,22 +6,23 @@ a frame's readings are interpolated to the image's time between the rows before 
 
 from __future__ import annotations
 
+import io
 import math
 import os
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.errors import InputError, nearest_first, one_line
 from dvrk_cmaes.io.files import read_bytes, text_of
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.csv_table import EXPECTED, LEAST, read_joint_csv, read_plain_table
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, known_where, largest_distance, weighted_mean
 from dvrk_cmaes.joints.joint_state import is_joint_state, read_joint_state
 from dvrk_cmaes.joints.lag import Lag
-from dvrk_cmaes.joints.names import accepted_names, check_joint, joint_reading
-from dvrk_cmaes.joints.npy import MAGIC, read_joint_npy
+from dvrk_cmaes.joints.names import accepted_names, check_joint, joint_reading, joints_by_count
 from dvrk_cmaes.joints.rows import BY_THEMSELVES, JointFile, ReadAs, number_of
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.times import time_in_name
@@ -262,3 +263,38 @@ def _row_of(file: JointFile, frame: str, *, single: bool) -> tuple[int | None, t
         f"{file.path}: frame {frame}: expected the image's time (images.csv, or --time), to find its readings among "
         f"{len(file.values)} without a frame's name"
     )
+
+
+MAGIC = b"\x93NUMPY"
+
+_EXPECTED = "joint readings (joint_NNNN.npy of 6 numbers or jaw_NNNN.npy of 1)"
+_NAME = re.compile(r"(joint|jaw)_\d+")
+
+
+def read_joint_npy(path: str, data: bytes) -> JointFile:
+    """Read joint readings from the bytes of a .npy file; ``path`` is for messages and names the row.
+
+    The shape is checked before the array is read, and pickled objects are refused.
+
+    Raises
+    ------
+    InputError
+        The array is not one of readings; the message names the file and what was expected.
+    """
+    stem = Path(path).stem
+    if not _NAME.fullmatch(stem):
+        raise InputError(f"{path}: expected {_EXPECTED}, got another NumPy file: write its numbers to a joints.csv")
+    stream = io.BytesIO(data)
+    try:
+        version = np.lib.format.read_magic(stream)
+        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read_header(stream)
+        stream.seek(0)
+        small = dtype.kind in "fiu" and 0 < math.prod(shape) <= 6
+        values = np.load(stream, allow_pickle=False).ravel().tolist() if small else None
+    except Exception as error:  # NumPy parses the header as a Python literal, with errors of many types
+        raise InputError(f"{path}: expected {_EXPECTED}, got no valid NumPy file ({one_line(error)})") from None
+    if values is None:
+        raise InputError(f"{path}: expected {_EXPECTED}, got {dtype} of shape {shape}")
+    cells = dict(zip(joints_by_count(path, len(values)), values, strict=True))
+    return JointFile.of(path, f"NumPy array of {len(values)}", {stem: (path, cells, None)}, "message")

@@ -15,8 +15,8 @@ from helpers.transforms import transform
 
 from dvrk_cmaes import Camera, Rig, read_calibration
 from dvrk_cmaes.camera.files import read_camera_file
+from dvrk_cmaes.camera.rig import ViewDocument
 from dvrk_cmaes.camera.rig_files import read_rig
-from dvrk_cmaes.camera.view_document import ViewDocument
 
 LENSES = {
     "pinhole": Camera(640, 480, 893.8, 901.25, 318.5, 241.125),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dvrk_cmaes.joints.play import play_of
+from dvrk_cmaes.joints.cables import play_of
 
 WIDTH = np.array([0.2])
 
