@@ -10,8 +10,8 @@ import numpy as np
 from msgspec import Struct
 
 from dvrk_cmaes.camera import View
-from dvrk_cmaes.camera.ros import view_info_text
 from dvrk_cmaes.camera.rig import ViewDocument
+from dvrk_cmaes.camera.ros import view_info_text
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.export.request import Exported, ExportRequest
 from dvrk_cmaes.io.typed_document import convert_document

@@ -20,8 +20,8 @@ from dvrk_cmaes.calibration.frame_task import Run, SessionFrame
 from dvrk_cmaes.calibration.session_problem import ArmSetup
 from dvrk_cmaes.calibration.together import Begun
 from dvrk_cmaes.camera import Rig
-from dvrk_cmaes.camera.ros import view_info_text
 from dvrk_cmaes.camera.rig import ViewDocument
+from dvrk_cmaes.camera.ros import view_info_text
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import Evidence
