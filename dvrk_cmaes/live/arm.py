@@ -26,7 +26,7 @@ Pixels = NDArray[np.uint8]
 Mask = Bool
 Readings = Sequence[tuple[float, Mapping[str, float]]]
 """Times, s, and readings of joints by name, rad (insertion: m)."""
-DrawOverlay = Callable[[Pixels, TrackResult], Pixels]
+DrawOverlay = Callable[[Pixels, TrackResult, str], Pixels]
 
 OLD: Final = 1.0
 """Age, s, from which on a pose is doubtful."""
@@ -71,7 +71,8 @@ class LiveArm:
     now
         The clock, s.
     draw
-        Makes, for cameras, a function that draws a result over the image of the first eye; None to publish no overlay.
+        Makes, for cameras, a function that draws a result, and how far the base is known, over the image of the first
+        eye; None to publish no overlay.
     origin
         The time, ns, from which those of the tracker are counted: seconds since 1970 have few digits left.
     """
@@ -97,7 +98,7 @@ class LiveArm:
 
     def begin(self, rig: Rig) -> None:
         """Follow anew, by these cameras."""
-        self._tracker, self._failures = self._make_tracker(rig), 0
+        self._rig, self._tracker, self._failures = rig, self._make_tracker(rig), 0
         self.base_state = self._tracker.state
         self._draw = None if self._make_drawing is None else self._make_drawing(rig)
 
@@ -119,25 +120,23 @@ class LiveArm:
         self._result = self._tracker.start_step(near, seconds, masks, arrays.images or None, ignored or None)
         return len(readings) - len(near)
 
-    def finish(self, age: Callable[[], float], silent: Sequence[str]) -> tuple[bool, bool]:
-        """Publish the result of the frame that was started, or say why there is none.
+    def finish(self, age: Callable[[], float], silent: Sequence[str]) -> bool:
+        """Publish the result of the frame that was started, or say why there is none; returns whether it was followed.
 
-        Returns whether it was followed, and whether following is to begin anew, after several that were not.
+        Following begins anew after several in a row that were not.
         """
         try:
             self._publish(self._result(), age, silent)
-        except InputError as error:
-            self._report(str(error))
-            self.leave_out(str(error))
-            return False, False
         except Exception as error:
-            return False, self._fail(error)
+            self._fail(error)
+            return False
         self._failures = 0
-        return True, False
+        return True
 
     def _publish(self, result: TrackResult, age: Callable[[], float], silent: Sequence[str]) -> None:
         frame, image = self._frame, next(iter(self._arrays.images.values()), None)
-        overlay = None if self._draw is None or image is None else self._draw(image, result)
+        state = self._tracker.state
+        overlay = None if self._draw is None or image is None else self._draw(image, result, state)
         old = age()
         doubts = reasons(image_old(old, OLD))
         self.published += self._outputs.publish(
@@ -147,16 +146,20 @@ class LiveArm:
             doubts=doubts,
             silent=silent,
             overlay=overlay,
-            calibration=self._tracker.state,
+            calibration=state,
         )
         self.poses += result.camera_from_root is not None and result.status != "lost"
         self.ok += result.status == "ok" and not doubts
         self._told = self._now()
         self.wait("waiting for images")
-        self.base_state = self._tracker.state
+        self.base_state = state
 
-    def _fail(self, error: Exception) -> bool:
-        """Leave out a frame whose step failed; returns whether that was the last of several in a row."""
+    def _fail(self, error: Exception) -> None:
+        """Leave out a frame whose step failed, and begin anew after several in a row."""
+        if isinstance(error, InputError):
+            self._report(str(error))
+            self.leave_out(str(error))
+            return
         if isinstance(error, MemoryError):
             reason = "out of memory"
         else:
@@ -166,7 +169,8 @@ class LiveArm:
         self._failures += 1
         self._report(f"{reason}; the image is left out; after {MOST_FAILURES} in a row following begins anew")
         self.leave_out(reason)
-        return self._failures >= MOST_FAILURES
+        if self._failures >= MOST_FAILURES:
+            self.begin(self._rig)
 
     def leave_out(self, reason: str) -> None:
         """State why a frame is left out."""

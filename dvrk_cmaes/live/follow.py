@@ -19,7 +19,7 @@ from dvrk_cmaes.errors import DvrkCmaesError, InputError, nearest_first, one_lin
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.short_text import listed
-from dvrk_cmaes.live.arm import DrawOverlay, LiveArm, Readings
+from dvrk_cmaes.live.arm import LiveArm, Readings
 from dvrk_cmaes.live.arm_process import ArmProcess, Start
 from dvrk_cmaes.live.connection import Connection, LogThrottle, Report
 from dvrk_cmaes.live.inputs import Inputs, InputTopics
@@ -85,7 +85,7 @@ class LiveSetup:
             Outputs(connection, own.names, own.body.instrument.root_link),
             report,
             inputs.now,
-            draw=partial(_drawing, own.body, followed) if self.overlay else None,
+            draw=partial(LiveOverlay, own.body) if self.overlay else None,
             origin=self.origin,
         )
 
@@ -182,10 +182,6 @@ def follow(
     if not loop.began:
         raise DvrkCmaesError(_what_to_check(setup, inputs, connection))
     return counts
-
-
-def _drawing(body: Body, followed: FollowedArm | ArmProcess, rig: Rig) -> DrawOverlay:
-    return LiveOverlay(body, rig.camera, lambda: followed.state)
 
 
 def _what_to_check(setup: LiveSetup, inputs: Inputs, connection: Connection) -> str:

@@ -26,7 +26,6 @@ Fields = Mapping[str, Any]
 
 _MOST_READINGS: Final = 1000  # of two topics of 100 Hz, those of five seconds
 _MOST_WAITING: Final = 8  # times of an eye that wait for the rest of their frame
-_MOST_BYTES: Final = 2 * LARGEST_IMAGE  # of these, beside the newest
 _FARTHEST: Final = NANOSECONDS // 100  # ns, between the images of two eyes, as in recordings
 
 _IMAGE, _COMPRESSED = "sensor_msgs/Image", "sensor_msgs/CompressedImage"
@@ -283,19 +282,11 @@ class Inputs:
         self._first = now if self._first is None else self._first
         of_eye = self._parts[eye]
         of_eye.setdefault(stamp.time, _FrameParts(now)).fields[topic] = fields
-        self._drop_oldest(of_eye)
+        if len(of_eye) > _MOST_WAITING:
+            del of_eye[next(iter(of_eye))]
         frame = self._whole_frame(now)
         if frame is not None:
             self.frames.put(frame)
-
-    def _drop_oldest(self, of_eye: dict[int, _FrameParts]) -> None:
-        """Drop what came first of an eye until what waits is within the bounds."""
-
-        def size(parts: _FrameParts) -> int:
-            return sum(len(fields.get("data", ())) for fields in parts.fields.values())
-
-        while len(of_eye) > _MOST_WAITING or (len(of_eye) > 1 and sum(map(size, of_eye.values())) > _MOST_BYTES):
-            del of_eye[next(iter(of_eye))]
 
     def _whole_frame(self, now: float) -> LiveFrame | None:
         """Return the newest frame that has all of its parts, and forget those and older ones; None without one."""

@@ -30,12 +30,11 @@ Sizes = Mapping[str, tuple[int, int]]
 
 @dataclass
 class LiveCounts:
-    """Frames followed, results published, frames and readings left out, and how often following began anew."""
+    """Frames followed, results published, frames and readings left out."""
 
     followed: int = 0
     published: int = 0
     refused: int = 0
-    restarts: int = 0
 
 
 class LiveLoop:
@@ -130,7 +129,6 @@ class LiveLoop:
         self._report(f"{eyes}: {views}{again}")
         for remark in rig.remarks:
             self._report(f"warning: {remark}")
-        self.counts.restarts += bool(again)
         for arm in self._arms:
             arm.wait("waiting for images")
 
@@ -164,7 +162,7 @@ class LiveLoop:
 
         for arm in self._arms:
             self.counts.refused += arm.start(self._inputs.readings[arm.name].take_all(), frame, arrays)
-        finished = [self._finish(arm, age, silent) for arm in self._arms]
+        finished = [arm.finish(age, silent) for arm in self._arms]
         followed = any(finished)
         self.counts.published = sum(arm.published for arm in self._arms)
         self.counts.followed += followed
@@ -173,14 +171,6 @@ class LiveLoop:
             self._latest.append(age())
             if self._latest[-1] > OLD:
                 self._report(f"images are {self._latest[-1]:.1f} s old: this computer, or the way here, is too slow")
-        return followed
-
-    def _finish(self, arm: LiveArm, age: Callable[[], float], silent: tuple[str, ...]) -> bool:
-        """Publish what an arm that was started has found; returns whether the frame was followed."""
-        followed, anew = arm.finish(age, silent)
-        if anew and self._rig is not None:
-            arm.begin(self._rig)
-            self.counts.restarts += 1
         return followed
 
     def _leave_out(self, reason: str) -> None:
@@ -212,12 +202,11 @@ class LiveLoop:
         changed, self._rig = self._rig, stated.with_cameras({eye: camera for eye, (camera, _) in fitted.items()})
         if changed is not None:
             self._report(f"{topic}: the size of the images has changed, and following begins anew")
-        self._begin(anew=changed is not None)
+        self._begin()
 
-    def _begin(self, *, anew: bool = True) -> None:
+    def _begin(self) -> None:
         """Let all arms begin, where they are not to wait for the first frame."""
         if self._rig is not None:
-            self.counts.restarts += anew
             for arm in self._arms:
                 arm.begin(self._rig)
 

@@ -10,29 +10,16 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from threading import Event
 from typing import Any, Final
 
-import msgspec
-
 from dvrk_cmaes.errors import InputError, one_line
-from dvrk_cmaes.io.typed_document import prepared
 from dvrk_cmaes.live.connection import LARGEST_IMAGE, LARGEST_MESSAGE, Connection, Receive, Report, too_large
 
 _LONGEST_WAIT: Final = 2.0  # s, between attempts to connect
 _LARGEST_PAYLOAD: Final = LARGEST_IMAGE + 2**20  # bytes of a websocket message, beyond which the connection is closed
-
-
-class _Operation(msgspec.Struct):
-    """An operation of rosbridge's protocol, whose message is not read yet."""
-
-    op: str
-    topic: str = ""
-    msg: msgspec.Raw = msgspec.Raw()
-    values: Any = None
-    level: str = ""
 
 
 class RosbridgeConnection(Connection):
@@ -168,39 +155,23 @@ class RosbridgeConnection(Connection):
             self._report(f"{self.name}: a message that cannot be read: {one_line(error)}")
 
     def _on_message(self, payload: bytes) -> None:
-        operation, read = _read_operation(payload)
-        if operation.op == "status":
-            if operation.level in ("error", "warning"):
-                self._report(f"{self.name}: {' '.join(str(read()).split())[:200]}")
-            return
-        if operation.op == "service_response":
-            values = operation.values if isinstance(operation.values, dict) else {}
+        message = json.loads(payload)  # which may have NaN, unlike JSON
+        kind = message["op"]
+        if kind == "status":
+            if message.get("level") in ("error", "warning"):
+                self._report(f"{self.name}: {' '.join(str(message.get('msg')).split())[:200]}")
+        elif kind == "service_response":
+            values = message.get("values") or {}
             self._topics = dict(zip(values.get("topics", ()), values.get("types", ()), strict=False))
             self._has_topics.set()
-            return
-        if operation.op != "publish":
-            raise ValueError(f"expected the operation publish or status, got {operation.op[:50]!r}")
-        receive, largest = self._receivers.get(operation.topic, (None, 0))
-        if receive is None:
-            return
-        if len(payload) > largest:
-            self._report(too_large(operation.topic, len(payload), largest))
-        else:
-            receive(read())
-
-
-def _read_operation(payload: bytes) -> tuple[_Operation, Callable[[], Any]]:
-    """Read an operation without its message, and return a function that reads that too."""
-    try:
-        operation = msgspec.json.decode(payload, type=prepared(_Operation))
-    except msgspec.ValidationError:
-        raise
-    except msgspec.DecodeError:  # some servers write NaN, which is not JSON
-        document = json.loads(payload) if len(payload) <= LARGEST_MESSAGE else {}
-        fields = {name: str(document[name]) for name in ("op", "topic", "level") if name in document}
-        operation = _Operation(fields["op"], fields.get("topic", ""), level=fields.get("level", ""))
-        return operation, lambda: document.get("msg")
-    return operation, lambda: json.loads(bytes(operation.msg))
+        elif kind != "publish":
+            raise ValueError(f"expected the operation publish or status, got {str(kind)[:50]!r}")
+        elif (found := self._receivers.get(message["topic"])) is not None:
+            receive, largest = found
+            if len(payload) > largest:
+                self._report(too_large(message["topic"], len(payload), largest))
+            else:
+                receive(message["msg"])
 
 
 class _Flow:

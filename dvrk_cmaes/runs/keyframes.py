@@ -28,7 +28,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
-from dvrk_cmaes.frames.seen_view import PackedMask, SeenView
+from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Bool, Posed
 from dvrk_cmaes.instrument.arm import Arm
@@ -193,43 +193,13 @@ def _estimated(
     return [frame for _, frame in sorted((first | others).items())]
 
 
-@dataclass(frozen=True, eq=False)
-class PackedFrame:
-    """A frame whose masks were found in its images: its views, without arrays, and the arrays of each, packed."""
-
-    views: tuple[SeenView, ...]
-    masks: tuple[PackedMask, ...]
-    ignored: tuple[PackedMask | None, ...]
-    notes: tuple[str, ...]
-
-    @classmethod
-    def of(cls, data: FrameData) -> PackedFrame:
-        """Pack a frame."""
-        nothing = np.zeros((0, 0), np.bool_)
-        return cls(
-            tuple(replace(view, mask=nothing, ignore=None, image=None) for view in data.views),
-            tuple(PackedMask.of(view.mask) for view in data.views),
-            tuple(None if view.ignore is None else PackedMask.of(view.ignore) for view in data.views),
-            data.notes,
-        )
-
-    def restored(self) -> FrameData:
-        """Return the frame's data, without images."""
-        arrays = zip(self.views, self.masks, self.ignored, strict=True)
-        views = (
-            replace(view, mask=mask.restored(), ignore=None if ignored is None else ignored.restored())
-            for view, mask, ignored in arrays
-        )
-        return FrameData(tuple(views), self.notes)
-
-
 def segment_task(
     body: Body,
     config: EstimateConfig,
     task: tuple[FrameFiles, Hints],
     *,
     rig: Rig,
-) -> PackedFrame | None:
+) -> FrameData | None:
     """Find the masks in the images of a frame with its hints; None where nothing is found, or only a guess.
 
     Masks that the frame has are kept. In further views the instrument of the first view's prompts is looked for.
@@ -246,9 +216,9 @@ def segment_task(
             views.append(replace(view, image=None))
             continue
         mask = _first_mask(view, hints)
-        views.append(view if mask is None else replace(view, mask=mask, given=True))
+        views.append(replace(view, image=None) if mask is None else replace(view, mask=mask, given=True, image=None))
     found = replace(data, views=tuple(views))
-    return PackedFrame.of(found) if any(view.given and view.shows for view in found.views) else None
+    return found if any(view.given and view.shows for view in found.views) else None
 
 
 def _first_mask(view: SeenView, hints: Hints) -> Bool | None:
@@ -286,7 +256,7 @@ def begin_images(
     segmented = partial(segment_task, rig=recorded.rig)
     of_frames = {i: hints if i == 0 and hints != Hints() else hints_of(files[i]) or Hints() for i in chosen}
     tasks = [(files[i], of_frame) for i, of_frame in of_frames.items()]
-    found: dict[int, PackedFrame | None] = dict(zip(chosen, work.run(segmented, tasks), strict=True))
+    found: dict[int, FrameData | None] = dict(zip(chosen, work.run(segmented, tasks), strict=True))
     recorded = _measured(recorded, found)
     if given is not None:
         return Begun.of(_with_colours(RecordedSolution(recorded, given, {}), work, found=found))
@@ -297,7 +267,7 @@ def begin_images(
 
 def _with_more_masks(
     recorded: RecordedFrames,
-    found: Mapping[int, PackedFrame | None],
+    found: Mapping[int, FrameData | None],
     work: ArmSetup,
     solved: SolvedSession | str,
 ) -> RecordedSolution | str:
@@ -318,38 +288,38 @@ def _with_more_masks(
     return solution
 
 
-def _keyframes(recorded: RecordedFrames, found: Mapping[int, PackedFrame | None]) -> list[RecordedKeyframe]:
+def _keyframes(recorded: RecordedFrames, found: Mapping[int, FrameData | None]) -> list[RecordedKeyframe]:
     """Choose keyframes among the frames in which masks were found."""
     return [
-        RecordedKeyframe(i, recorded.files[i].changed(image=None), one.restored)
+        RecordedKeyframe(i, recorded.files[i].changed(image=None), partial(replace, one))
         for i in recorded.keyframes(_KEYFRAMES)
         if (one := found[i]) is not None
     ]
 
 
 def _found_around(
-    solution: RecordedSolution, found: Mapping[int, PackedFrame | None], work: ArmSetup
-) -> dict[int, PackedFrame | None]:
+    solution: RecordedSolution, found: Mapping[int, FrameData | None], work: ArmSetup
+) -> dict[int, FrameData | None]:
     """Find masks where few keyframes expect the instrument; those of the frames that agree are kept."""
     recorded, used = solution.recorded, set(solution.calibration.frames)
     predicted, _ = predict(recorded, solution.calibration, work.instrument.joint_names)
     others = [i for i in found if recorded.files[i].name not in used]
     find = partial(around_task, colours=solution.colours or {})
     around: Sequence[FrameData | None] = work.run(find, solution.expected(predicted, others))
-    again = {i: None if data is None else PackedFrame.of(data) for i, data in zip(others, around, strict=True)}
+    again = dict(zip(others, around, strict=True))
     return {i: again.get(i, one) for i, one in found.items()}
 
 
-def _measured(recorded: RecordedFrames, found: Mapping[int, PackedFrame | None]) -> RecordedFrames:
+def _measured(recorded: RecordedFrames, found: Mapping[int, FrameData | None]) -> RecordedFrames:
     """Measure the masks that were found."""
-    return recorded.measured((i, None if one is None else one.masks[0].restored()) for i, one in found.items())
+    return recorded.measured((i, None if one is None else one.mask) for i, one in found.items())
 
 
 def _with_colours(
     solution: RecordedSolution,
     work: ArmSetup,
     *,
-    found: Mapping[int, PackedFrame | None] | None = None,
+    found: Mapping[int, FrameData | None] | None = None,
     results: Mapping[str, Result] | None = None,
 ) -> RecordedSolution | str:
     """Return a calibration with the colours of instrument and surroundings; a text where the images tell none.
@@ -358,7 +328,7 @@ def _with_colours(
     the calibration predicts the instrument.
     """
     recorded, calibration, names = solution.recorded, solution.calibration, work.instrument.joint_names
-    tasks: list[tuple[Callable[[], FrameData | None], Posed, Mapping[str, PackedMask] | None]] = []
+    tasks: list[tuple[Callable[[], FrameData | None], Posed, Mapping[str, Bool] | None]] = []
     if results is not None:
         for own in recorded.files:
             if own.name in calibration.frames and own.has_image:
@@ -369,7 +339,7 @@ def _with_colours(
         for i, one in (found or {}).items():
             own = recorded.files[i]
             if one is not None and own.has_image:
-                masks = {view.name: mask for view, mask in zip(one.views, one.masks, strict=True) if view.given}
+                masks = {view.name: view.mask for view in one.views if view.given}
                 tasks.append((partial(read_seen, own, solution.rig), predicted.at[i], masks))
     learned = work.run(learn_task, tasks)
     of_views = {view: [of_frame[view] for of_frame in learned if view in of_frame] for view in recorded.rig.names}

@@ -22,15 +22,15 @@ from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.interpolation import Sparseness
 from dvrk_cmaes.joints.series import ReadingSeries
-from dvrk_cmaes.pose.doubts import readings_frozen, readings_missing, readings_too_sparse, reasons
+from dvrk_cmaes.pose.doubts import pose_lost, readings_frozen, readings_missing, readings_too_sparse, reasons
 from dvrk_cmaes.pose.judge import far_joints
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.results.tracked import TrackResult
-from dvrk_cmaes.track.frame_fits import FittedFrame, PredictedFrame, fit_block, judge_frame
+from dvrk_cmaes.track.frame_fits import FittedFrame, PredictedFrame, fit_block
 from dvrk_cmaes.track.histogram_ratio import ColourModel
 from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES, MaskShape, choose_keyframes, has_outer_joints, well_in_view
 from dvrk_cmaes.track.reading_buffer import frozen_frames, frozen_since
-from dvrk_cmaes.track.window import FitEvidence, Window, WindowImage
+from dvrk_cmaes.track.window import FitEvidence, Judged, Window, WindowImage, judge_frame
 
 BLOCK: Final = 10
 """Consecutive frames that are fitted one after the other by one process."""
@@ -248,12 +248,14 @@ def follow_window(solution: RecordedSolution, work: ArmSetup) -> list[TrackResul
             evidence = FitEvidence.of(fitted.fit, at, spread, inflation=inflation, holds=holds)
         images.append(WindowImage(float(recorded.times[i]), predicted, i, evidence))
     found = window.solve(images)
-    shown = [(fitted.stored, own) for fitted, own in zip(fits, found, strict=True) if fitted is not None]
-    qualities = iter(run(judge_frame, shown))
+    of_fits = zip(fits, found, images, strict=True)
+    shown = [(fitted.stored, own, image.fit.misfit) for fitted, own, image in of_fits if fitted is not None]
+    of_shown = iter(run(partial(judge_frame, window=window, source=source), shown))
+    nothing = Judged("lost", reasons(pose_lost(source, None)))
     frozen = frozen_since(recorded.frozen, [own.name for own in recorded.files])
     results = []
     for i, (fitted, image) in enumerate(zip(fits, images, strict=True)):
-        judged = window.judged(None if fitted is None else next(qualities), image.fit.misfit, source)
+        judged = nothing if fitted is None else next(of_shown)
         doubts = [*judged.reasons, *(() if fitted is None else fitted.doubts)]
         if solution.colours is not None:
             doubts += far_joints(found[i][0], image.at, predicted.spread[i], instrument.joint_names)

@@ -36,10 +36,10 @@ from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.tracked import TrackResult, without_pose
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.colour_edges import EdgeFit
-from dvrk_cmaes.track.frame_fits import Found, fit_near, judged, views_that_show
+from dvrk_cmaes.track.frame_fits import fit_near, views_that_show
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.view_segmenter import Mask, Seen, ViewSegmenter
-from dvrk_cmaes.track.window import FitEvidence, Judged, Window, WindowImage
+from dvrk_cmaes.track.window import FitEvidence, Found, Judged, Window, WindowImage
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,13 +83,15 @@ class Follower:
 
     ``explained`` is whether the pose of the last image explains its masks or edges. ``disagreeing`` and ``unexplained``
     are the numbers of images in a row up to it that disagree with the calibration, and that are not explained.
+    ``seconds`` is the time from the first image to the last.
     """
 
     def __init__(
         self, given: Followed, calibration: SessionCalibration, lag: FoundLag | None, *, uncertain: bool = False
     ) -> None:
         self.calibration, self.lag = calibration, lag
-        self.explained, self.disagreeing, self.unexplained = False, 0, 0
+        self.explained, self.disagreeing, self.unexplained, self.seconds = False, 0, 0, 0.0
+        self._began = np.inf  # s, time of the first image
         self._given, self._uncertain = given, uncertain
         self._views = calibration.corrected_views(given.rig.views)
         self._window = Window(calibration, given.rig.views[0].camera, given.instrument, given.config)
@@ -126,16 +128,6 @@ class Follower:
         """Whether the last images disagree with the calibration."""
         return self.disagreeing >= _DISAGREES
 
-    @property
-    def begun(self) -> bool:
-        """Whether an image has been followed to."""
-        return bool(self._images)
-
-    def start_from(self, at: Posed, reading: ReadingAt) -> None:
-        """Let the fit of the next image start from the pose and joints of one before it, with that one's readings."""
-        if reading.has_outer:
-            self._deviation = at.minus(self._predicted(reading, reading.outer, None).at[0])
-
     def _predicted(self, reading: ReadingAt, outer: Float64, time: float | None) -> Prediction:
         """Predict an image from its readings less the lag, with other readings of the outer joints (4,), rad and m."""
         self._ecm = self._ecm if reading.ecm is None else reading.ecm
@@ -168,6 +160,8 @@ class Follower:
         An image whose masks, by view, do not show the instrument well does not tell against the calibration.
         """
         started, given = clock.perf_counter(), self._given
+        self._began = min(self._began, time)
+        self.seconds = time - self._began
         if reading.has_outer:
             self._outer = reading.outer
         if self._outer is None:
@@ -257,9 +251,9 @@ class Follower:
         """Judge the pose of an image by how it explains the masks of ``views``, or by the fit to its edges."""
         given = self._given
         if views:
-            return self._window.judged(judged(views, *found, given.body, given.config), misfit)
+            return self._window.judged(views, found, misfit, given.body)
         if fit is None:
-            lost = seen.problem is None or (seen.masks[seen.main] is not None and not seen.any_same)
+            lost = seen.problem is None or (seen.main.mask is not None and not seen.any_same)
             doubts = reasons(pose_lost(seen.source, None)) if seen.problem is None else [seen.problem]
             return Judged("lost" if lost else "doubtful", doubts, None)
         error = expected_error(given.instrument, *found)

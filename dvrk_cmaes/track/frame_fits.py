@@ -27,18 +27,13 @@ from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import gather_evidence
-from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN
 from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.frames.seen_view import PackedMask, SeenView, overlap_of, shown_views
+from dvrk_cmaes.frames.seen_view import SeenView, overlap_of, shown_views
 from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.pose.doubts import UNSUPPORTED, reasons, silhouette_without_colours
-from dvrk_cmaes.pose.expected_error import expected_error
-from dvrk_cmaes.pose.judge import doubts_in_views
-from dvrk_cmaes.pose.quality import measure_overlap, pooled_quality
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.views import FrameView, silhouette_of
-from dvrk_cmaes.results.result import ExpectedError, Quality
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.track.histogram_ratio import ColourModel
 from dvrk_cmaes.track.image_masks import SPREAD_OF_FIT, learned_colours, mask_around
@@ -115,48 +110,6 @@ def fit_near(
     return fit_frame(views, config, expected, starts, margin=margin, lengths=of_views, preset=preset)
 
 
-Found = tuple[Posed, Float64, Float64]
-"""Pose and joints, their covariance (D, D) given the camera, and that by the camera's errors."""
-
-
-@dataclass(frozen=True, eq=False)
-class JudgedFrame:
-    """The quality of a frame's pose, the reasons to doubt it, and the error that is expected of it."""
-
-    quality: Quality
-    reasons: tuple[str, ...]
-    error: ExpectedError
-
-    @property
-    def residual_px(self) -> float:
-        """Standard deviation, px, of the contour's distances from the outline, by their median."""
-        return NORMAL_MEDIAN * self.quality.contour_px_median
-
-
-def judge_frame(body: Body, config: EstimateConfig, task: tuple[StoredFrame, Found]) -> JudgedFrame:
-    """Judge a frame, given its evidence, by its pose and the covariances (D, D) of that, as `judged` does."""
-    stored, found = task
-    return judged([view.restored(body) for view in stored.views], *found, body, config)
-
-
-def judged(
-    views: Sequence[FrameView],
-    at: Posed,
-    covariance: Float64,
-    of_camera: Float64,
-    body: Body,
-    config: EstimateConfig,
-) -> JudgedFrame:
-    """Measure how a pose explains the views' masks, and list the reasons to doubt it.
-
-    Its covariances (D, D) are that given the camera, and that by the camera's errors.
-    """
-    qualities = [measure_overlap(view, at) for view in views]
-    error = expected_error(body.instrument, at, covariance, of_camera)
-    doubts, _ = doubts_in_views(at, views, qualities, error, config.trust, "followed")
-    return JudgedFrame(pooled_quality(qualities), tuple(doubts), error)
-
-
 _ROUNDS = 3  # of masks and fits of a frame, at most
 _SAME = 0.97  # intersection over union of the silhouettes of two rounds, from which on the mask is not found again
 _LARGEST_SPREAD = 12.0  # px, of an outline that is expected
@@ -167,7 +120,7 @@ _PREDICTED = 0.6  # intersection over union of a mask and a predicted silhouette
 def learn_task(
     body: Body,
     config: EstimateConfig,
-    task: tuple[Callable[[], FrameData | None], Posed, Mapping[str, PackedMask] | None],
+    task: tuple[Callable[[], FrameData | None], Posed, Mapping[str, Bool] | None],
 ) -> dict[str, ColourModel]:
     """Learn the colours about the silhouette of a known pose, by name of the view.
 
@@ -182,7 +135,7 @@ def learn_task(
             continue
         shown = silhouette_of(at, view, body)
         if masks is not None:
-            mask = masks[view.name].restored() if view.name in masks else np.zeros_like(shown)
+            mask = masks.get(view.name, np.zeros_like(shown))
             if overlap_of(shown, mask) < _PREDICTED:
                 continue
             shown = mask

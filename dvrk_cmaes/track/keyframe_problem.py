@@ -18,7 +18,7 @@ from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.model import ecm_readings
 from dvrk_cmaes.calibration.prediction import Prediction, endoscope_in, lag_and_std
 from dvrk_cmaes.calibration.session_doubts import bad_predictions
-from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
@@ -67,7 +67,11 @@ class Keyframe:
         rig
             The rig whose views the keyframe has.
         """
-        return FrameData(seen_views(_unpacked(self.masks, rig), rig, _unpacked(self.ignored, rig) or None))
+
+        def arrays(packed: Mapping[str, NDArray[np.uint8]]) -> dict[str, Bool]:
+            return {name: _unpacked(bits, rig.view(name).camera) for name, bits in packed.items()}
+
+        return FrameData(seen_views(arrays(self.masks), rig, arrays(self.ignored) or None))
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,19 +189,10 @@ class KeyframeProblem:
         return float(np.median(errors))
 
 
-def packed(masks: Mapping[str, Bool]) -> dict[str, NDArray[np.uint8]]:
-    """Return masks (H, W) by view as packed bits."""
-    return {name: np.packbits(mask) for name, mask in masks.items()}
-
-
-def _unpacked(masks: Mapping[str, NDArray[np.uint8]], rig: Rig) -> dict[str, Bool]:
-    """Return masks (H, W) by view of packed bits."""
-    found = {}
-    for name, bits in masks.items():
-        camera = rig.view(name).camera
-        flat = np.unpackbits(bits, count=camera.height * camera.width)
-        found[name] = flat.reshape(camera.height, camera.width).astype(np.bool_)
-    return found
+def _unpacked(bits: NDArray[np.uint8], camera: Camera) -> Bool:
+    """Return a mask (H, W) of packed bits."""
+    flat = np.unpackbits(bits, count=camera.height * camera.width)
+    return flat.reshape(camera.height, camera.width).astype(np.bool_)
 
 
 _FEW: Final = 20

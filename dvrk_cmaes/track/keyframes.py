@@ -20,8 +20,8 @@ from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.joints.series import ReadingSeries
-from dvrk_cmaes.track.keyframe_problem import Keyframe, packed
-from dvrk_cmaes.track.reading_buffer import ReadingRows
+from dvrk_cmaes.track.keyframe_problem import Keyframe
+from dvrk_cmaes.track.reading_buffer import ReadingBuffer
 
 MOST_KEYFRAMES: Final = 60
 LEAST_KEYFRAMES: Final = 12
@@ -136,28 +136,23 @@ NEW_AT_MOST: Final = 20
 _LEAST_APART = 0.15  # of `distance_units`, between two keyframes
 _LEAST_SECONDS = 0.09  # between two keyframes
 _SECONDS = 4.0  # of as different images as one of `distance_units`
-_AROUND = 0.6  # s, of readings that are kept before and after a keyframe
-_LATEST = 2.0  # s, of readings that are kept without a keyframe
 _SHAPES = 200  # masks whose areas tell what is well in view
-_PRUNED_EVERY = 2000  # readings
 
 
 class KeyframeStore:
-    """Keyframes of what is followed, and the readings around them.
+    """Keyframes of what is followed; ``readings`` keep those around them.
 
     ``taken`` is the number of images that were kept so far, whether they still are or not.
     """
 
-    def __init__(self, rig: Rig, joint_names: tuple[str, ...]) -> None:
-        self._rig = rig
+    def __init__(self, rig: Rig, joint_names: tuple[str, ...], readings: ReadingBuffer) -> None:
+        self._rig, self._readings = rig, readings
         self._names = (*OUTER_JOINTS, *joint_names, *ECM_JOINTS)
         self.taken = 0
         self._kept: list[Keyframe] = []
         self._places = np.zeros((0, len(self._names) + 1))
         self._shapes: list[MaskShape] = []
         self._measured: tuple[Bool, MaskShape] | None = None  # the last mask
-        self._rows = ReadingRows(joint_names)
-        self._added = 0
         self._last: float | None = None
         self._interval: list[float] = []
 
@@ -171,14 +166,7 @@ class KeyframeStore:
 
     def clear(self) -> None:
         """Forget all keyframes: those that follow are of another base."""
-        self._kept, self._places = [], self._places[:0]
-
-    def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
-        """Keep the readings of one time, s."""
-        self._rows.add(time, joints)
-        self._added += 1
-        if self._added % _PRUNED_EVERY == 0:
-            self._prune()
+        self._kept, self._places, self._readings.near = [], self._places[:0], []
 
     def shows_well(self, masks: Mapping[str, Bool]) -> bool:
         """Return whether an image's masks, by view, show enough of the instrument, by those that were offered."""
@@ -235,8 +223,10 @@ class KeyframeStore:
         place = self._place(time, readings)
         if len(self._kept) >= MOST_KEYFRAMES and not self._drops_one(self._apart(place)):
             return False
-        self._kept.append(Keyframe(time, packed(masks), packed(ignored), dict(readings), dict(rates)))
+        shown, hidden = ({name: np.packbits(mask) for name, mask in own.items()} for own in (masks, ignored))
+        self._kept.append(Keyframe(time, shown, hidden, dict(readings), dict(rates)))
         self._places = np.vstack([self._places, place])
+        self._readings.near = [keyframe.time for keyframe in self._kept]
         self.taken += 1
         return True
 
@@ -263,19 +253,10 @@ class KeyframeStore:
     def series(self, keyframes: Sequence[Keyframe]) -> ReadingSeries:
         """Return the readings that are kept, with the times of some keyframes."""
         times, values = dict[str, Float64](), dict[str, Float64]()
-        for rows in filter(None, (self._rows, self._rows.ecm)):
+        for rows in filter(None, (self._readings, self._readings.ecm)):
             for name, column in zip(rows.series.joints, rows.series.values.T, strict=True):
                 if (read := ~np.isnan(column)).any():
                     times[name], values[name] = rows.series.times[read], column[read]
         names = {keyframe.name: keyframe.time for keyframe in keyframes}
         interval = float(np.median(self._interval)) if self._interval else 1 / 30
         return ReadingSeries("s", times, values, names, interval)
-
-    def _prune(self) -> None:
-        """Drop old readings that are near no keyframe."""
-        for rows in filter(None, (self._rows, self._rows.ecm)):
-            times = rows.series.times
-            kept = times > times.max(initial=-np.inf) - _LATEST
-            for keyframe in self._kept:
-                kept |= np.abs(times - keyframe.time) < _AROUND
-            rows.keep(kept)

@@ -8,7 +8,6 @@ import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.prediction import FoundLag, lag_and_std, lag_of
-from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.pose.doubts import (
@@ -19,7 +18,6 @@ from dvrk_cmaes.pose.doubts import (
     reasons,
     too_few_keyframes,
 )
-from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import BaseKnown, TrackResult, doubted
 from dvrk_cmaes.track.follower import Followed, Follower
@@ -31,16 +29,15 @@ from dvrk_cmaes.track.view_segmenter import Seen
 _BY_THE_BASE = 1.3  # of the error of the tips that is ok: the most that a first solution may leave, before any image
 _LAG_STD = 0.055  # s, largest standard deviation of a lag that keyframes tell
 _OWN_IS_ENOUGH = 32  # keyframes, from which on their solution is used although they do not tell the lag
-_NEW_THAT_DISAGREE = 5  # keyframes, of the largest number, with which they are solved anew if images disagree
-_LATELY = 0.5  # s, since an image from which fits by a new calibration start
 _SOON = 1.0  # s, since following by a calibration began
+_NEW_THAT_DISAGREE = 5  # keyframes, of the largest number, with which they are solved anew if images disagree
 
 
 class CalibratedFollower:
     """Keeps keyframes, and follows by the calibration that was found from them or given; arguments as of `Tracker`."""
 
-    def __init__(self, given: Followed, calibration: SessionCalibration | None) -> None:
-        self.store = KeyframeStore(given.rig, given.instrument.joint_names)
+    def __init__(self, given: Followed, calibration: SessionCalibration | None, readings: ReadingBuffer) -> None:
+        self.store = KeyframeStore(given.rig, given.instrument.joint_names, readings)
         self._given = given
         self._alone: dict[str, Result] = {}
         self._solved = Solution(None, "", 0, {})  # the last one
@@ -49,8 +46,6 @@ class CalibratedFollower:
         self._bases = 0  # that were given up
         self._own = False  # whether the calibration is that of the keyframes
         self._following = None if calibration is None else self._by(calibration)
-        self._began = 0.0  # s, the image from which the calibration has been followed by
-        self._last: tuple[float, Posed] | None = None  # time, s, pose and joints of the last image that has some
 
     @property
     def calibration(self) -> SessionCalibration | None:
@@ -181,13 +176,9 @@ class CalibratedFollower:
         """
         following = self._following
         assert following is not None
-        if not following.begun:
-            self._began = time
-            if self._last is not None and time - self._last[0] <= _LATELY:
-                following.start_from(self._last[1], readings.at(self._last[0] - following.late))
         result = following.follow(time, readings.at(time - following.late), seen, shows_well=self.store.shows_well)
-        soon = time - self._began <= _SOON
-        if following.contradicted or (soon and self._is_of_few and following.explains_little):
+        soon = self._is_of_few and following.seconds <= _SOON
+        if following.contradicted or (soon and following.explains_little):
             self._give_up()
             return replace(result, status="doubtful" if result.status == "ok" else result.status)
         self.offer(time, readings.at(time), seen, following)
@@ -196,11 +187,6 @@ class CalibratedFollower:
         if result.status == "doubtful" and self._own:
             result = doubted(result, self._how_far(result.tip_std_mm, self._given.config.trust.tip_mm))
         return result
-
-    def note(self, result: TrackResult) -> None:
-        """Remember where an image shows the instrument: fits by a new calibration start from there."""
-        if result.camera_from_root is not None and result.status != "lost":
-            self._last = result.time, posed(result, self._given.instrument.joint_names)
 
     @property
     def _is_of_few(self) -> bool:

@@ -19,11 +19,11 @@ from dvrk_cmaes.joints.interpolation import Sparseness, TimedReadings, Times, kn
 from dvrk_cmaes.joints.names import ECM_JOINTS, check_readings
 
 _KEPT = 3.0  # s; older readings are dropped
+_AROUND = 0.6  # s, before and after a keyframe, within which readings are kept
 _RATE_HALF_WIDTH = 0.2  # s, of the readings from which rates are computed
 _RATE_SPACINGS, _GAP_SPACINGS, _STILL_SPACINGS = 3.0, 2.0, 4.0  # usual spacings, from which on these count instead
 _LATEST = 20  # readings whose spacing is the usual one
-_MOST = 6000  # readings; at higher rates than 2 kHz a shorter time is kept
-_BLOCK = 256  # readings that are dropped at once, or more
+_BLOCK = 256  # readings, after which old ones are dropped
 _LEAST_FRAMES: Final = 5  # without any change of a reading, from which on it stands still
 _LEAST_SHIFT: Final = 0.04  # of the image's width, by which a mask's centre moves where the instrument moves
 _SAME = 1e-9  # rad and m
@@ -132,7 +132,9 @@ class ReadingRows:
 
 
 class ReadingBuffer(ReadingRows):
-    """The readings of the last seconds; they may arrive at any rate, before or after the images they belong to.
+    """The readings of the last seconds, and those around some times, s, ``near``; they may arrive at any rate.
+
+    They may come before or after the images they belong to.
 
     Joints may be read at times of their own, as the jaw is on its own topic: each is interpolated between its own
     readings.
@@ -153,21 +155,27 @@ class ReadingBuffer(ReadingRows):
         self._gap = gap
         self._still = still
         self._found: dict[float, ReadingAt] = {}  # what `at` returned at the last two times since readings came
+        self._added = 0
+        self.near: list[float] = []
 
     def add(self, time: float, joints: Mapping[str, float]) -> None:
-        """Add the readings of one time, and drop old ones, in blocks, because the others are moved."""
+        """Add the readings of one time, and drop old ones now and then, because the others are moved."""
         super().add(time, joints)
         self._found.clear()
-        for rows in filter(None, (self if self._count else None, self.ecm)):
+        self._added += 1
+        for rows in filter(None, (self, self.ecm)) if self._added % _BLOCK == 0 else ():
             times = rows.series.times
-            first = max(int(times.searchsorted(times[-1] - _KEPT)), len(times) - _MOST)
-            if first > _BLOCK:
-                rows.keep(slice(first, None))
+            kept = times > times.max(initial=-np.inf) - _KEPT
+            for one in self.near:
+                kept |= np.abs(times - one) < _AROUND
+            rows.keep(kept)
 
     @property
-    def last(self) -> float | None:
-        """Time of the latest reading, s; None without any."""
-        return float(self._times[self._count - 1]) if self._count else None
+    def _recent(self) -> TimedReadings:
+        """The readings of the last seconds."""
+        series = self.series
+        first = int(series.times.searchsorted(series.times.max(initial=-np.inf) - _KEPT))
+        return TimedReadings(series.joints, series.times[first:], series.values[first:])
 
     def at(self, time: float) -> ReadingAt:
         """Interpolate the readings linearly at a time, s; beyond them they are extrapolated by at most the gap."""
@@ -196,7 +204,7 @@ class ReadingBuffer(ReadingRows):
 
     def _read_together(self) -> Iterator[tuple[Indices, TimedReadings]]:
         """Give the columns of joints that are read at the same times, and their readings, without missing ones."""
-        series = self.series
+        series = self._recent
         if self._complete:
             yield np.arange(len(self._names)), series
             return
@@ -209,7 +217,7 @@ class ReadingBuffer(ReadingRows):
 
     def _of_outer(self) -> TimedReadings:
         """Return the readings of the outer joints, of the times that have all of them."""
-        series, outer = self.series, len(OUTER_JOINTS)
+        series, outer = self._recent, len(OUTER_JOINTS)
         values = series.values[:, :outer]
         if self._complete:
             return TimedReadings(OUTER_JOINTS, series.times, values)

@@ -107,7 +107,7 @@ class Tracker:
         self._readings = ReadingBuffer(self._names, track.reading_gap, track.still_seconds)
         self._segmenter = ViewSegmenter(rig, self._body, track, evidence, hints)
         given = Followed(rig, self._body, used_arm, settings, self._segmenter)
-        self._known = CalibratedFollower(given, calibration)
+        self._known = CalibratedFollower(given, calibration, self._readings)
         self._unknown = UnknownBase(given, background)
         self._renderer = Renderer(self._body, rig.views[0].camera)
         self._time: float | None = None
@@ -158,7 +158,6 @@ class Tracker:
         """
         late = checked_number("time", time, "a finite number of seconds") + (self._given_lag or 0.0)
         self._readings.add(late, joints)
-        self._known.store.add_readings(late, joints)
 
     @property
     def base_state(self) -> str:
@@ -254,7 +253,6 @@ class Tracker:
         seen = self._segmenter.look(mask, image, ignore)
         result = self._with_sparse_readings(self._followed(time, seen))
         self._time = time
-        self._known.note(result)
         remarks, seconds = tuple(dict.fromkeys((*self._remarks, *result.remarks))), clock.perf_counter() - started
         return replace(result, seconds=seconds, base=self._known.known, remarks=remarks, renderer=self._renderer)
 

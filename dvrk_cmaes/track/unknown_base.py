@@ -10,17 +10,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
 from threading import Thread
-from typing import Final
 
 import numpy as np
 
 from dvrk_cmaes.calibration.blocks import BASE_AXES, OUTER_OFFSETS, Calibration
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.model import Deviations, SessionModel, offset_deviations
-from dvrk_cmaes.calibration.prediction import FoundLag, Prediction, endoscope_at
+from dvrk_cmaes.calibration.prediction import FoundLag
 from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
@@ -30,12 +30,11 @@ from dvrk_cmaes.pose.doubts import NOT_FOUND, search_running
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackResult, without_pose
-from dvrk_cmaes.segment.segmentation import Box
 from dvrk_cmaes.track.follower import Followed, Follower
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.view_segmenter import Mask, Seen
 
-_MOST_IMAGES: Final = 90  # that come during a search, after which it is given up
+_MOST_IMAGES = 90  # that come during a search, after which it is given up
 _FIRST_WAIT, _MORE_WAIT = 3, 30  # images without support until the first search, and most between two of them
 _USUAL_IOU = 0.85  # of a pose and its mask
 _BASE_STD = (0.1, 1.0)  # m and rad, of a base of which nothing is known
@@ -83,7 +82,10 @@ class _Image:
 
 @dataclass(eq=False)
 class _Search:
-    """The search of an image, its result once it is there, and that image with all that have come since."""
+    """The search of an image, its result once it is there, and that image with all that have come since.
+
+    ``first`` is whether nothing was followed before.
+    """
 
     found: Future[Result | None]
     images: list[_Image]
@@ -149,7 +151,7 @@ class UnknownBase:
     ) -> TrackResult:
         """Follow to the image of a later time, s, whose readings, less the lag, are ``reading``.
 
-        A ``calibration`` that cannot be used for want of colours tells where an image is searched.
+        A ``calibration`` that cannot be used for want of colours tells where a searched image has the instrument.
         """
         image = _Image(time, reading, seen)
         if self._pose is None and self._search is None:
@@ -167,38 +169,31 @@ class UnknownBase:
 
     def _begin_search(self, image: _Image, calibration: SessionCalibration | None, *, first: bool) -> None:
         """Begin to search an image."""
-        kept, given = replace(image, seen=image.seen.copied()), self.given
+        kept, given = replace(image, seen=deepcopy(image.seen)), self.given
         if self.background:
             given = replace(given, config=replace(given.config, threads=1))
-        around = {} if calibration is None else self._around(image.reading, calibration)
-        search = partial(_solved, kept, given, around, calibration, first=first)
+        search = partial(_solved, kept, given, calibration, first=first)
         self._search = _Search(_called(search, background=self.background), [kept], first)
 
     def _go_on(self, search: _Search, image: _Image) -> list[_Image]:
-        """Follow what a search has found from its image on; returns the images that are followed in this step."""
-        images = [] if self._pose is None else [image]
-        if image.time > search.images[0].time:
-            search.images.append(replace(image, seen=image.seen.copied()))
+        """Follow what a search has found from its image on; returns the images that are followed in this step.
+
+        So where the instrument is followed to does not depend on how long a search takes.
+        """
+        images, began = [] if self._pose is None else [image], search.images[0]
+        if image.time > began.time:
+            search.images.append(replace(image, seen=deepcopy(image.seen)))
         if not search.found.done():
             if len(search.images) > _MOST_IMAGES:
                 self._search = None
             return images
-        self._search, found, began = None, search.found.result(), search.images[0]
+        self._search, found = None, search.found.result()
         if found is None or found.camera_from_root is None or found.covariance is None:
             return images
         if search.first or _explains(found, self.given.config.trust, self.given.rig.views[0].camera.pixel_scale):
             self.start(began.time, found, began.seen, widened=_OWN_ERROR)
             return search.images
         return images
-
-    def _around(self, reading: ReadingAt, calibration: SessionCalibration) -> dict[int, Box]:
-        """Return boxes, by view, around the instrument where readings and calibration make expect it."""
-        if not reading.has_outer:
-            return {}
-        names = self.given.instrument.joint_names
-        endoscope = endoscope_at(calibration, None, reading.ecm)
-        expected = Prediction.of(calibration, reading.outer[None], reading.joints[None], names, endoscope=endoscope)
-        return self.given.segmenter.boxes_around(expected.at[0], calibration.corrected_views(self.given.rig.views))
 
     def _follow(self, image: _Image, calibration: SessionCalibration | None) -> TrackResult:
         """Follow the pose to an image; where images do not support it for some time, one is searched."""
@@ -248,7 +243,6 @@ def _called(function: Callable[[], Result | None], *, background: bool) -> Futur
 def _solved(
     image: _Image,
     given: Followed,
-    around: Mapping[int, Box],
     calibration: SessionCalibration | None,
     *,
     first: bool,
@@ -257,7 +251,7 @@ def _solved(
     outer = zip(OUTER_JOINTS, image.reading.outer.tolist(), strict=True)
     joints = zip(given.instrument.joint_names, image.reading.joints.tolist(), strict=True)
     readings = {name: value for name, value in (*outer, *joints) if not math.isnan(value)}
-    masks: Mapping[str, Mask] = given.segmenter.first_masks(image.seen, hinted=first, around=around)
+    masks: Mapping[str, Mask] = given.segmenter.first_masks(image.seen, hinted=first)
     if not masks:
         return None
     try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, TypeVar, get_args
+from typing import Any, Final, Literal, get_args
 from zlib import crc32
 
 import numpy as np
@@ -20,7 +20,7 @@ from dvrk_cmaes.pose.doubts import UNSUPPORTED, image_black, image_frozen, mask_
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.views import silhouette_of
 from dvrk_cmaes.segment import segment
-from dvrk_cmaes.segment.segmentation import GUESS, Box, Hints
+from dvrk_cmaes.segment.segmentation import GUESS, Hints
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.colour_edges import EdgeAppearance, EdgeFit, ImageEvidence, fit_edges, learned
 from dvrk_cmaes.track.histogram_ratio import ColourModel
@@ -76,7 +76,6 @@ class ImageCheck:
         return array is not None and self.last == before
 
 
-A = TypeVar("A", bound=NDArray[Any])
 Masks = Mask | Mapping[str, Mask | None] | Sequence[Mask | None]
 """The mask (H, W) of a camera, or those of a rig's views: by name, or in the rig's order; None for a missing one."""
 Images = Image | Mapping[str, Image | None] | Sequence[Image | None]
@@ -84,68 +83,61 @@ Images = Image | Mapping[str, Image | None] | Sequence[Image | None]
 EvidenceKind = Literal["masks", "images"]
 KINDS: Final[tuple[EvidenceKind, ...]] = get_args(EvidenceKind)
 
-_MARGIN = 0.04  # of the image's width, around an expected silhouette
+
+@dataclass(frozen=True, eq=False)
+class SeenImage:
+    """The arrays of one view that are used, None where there is none.
+
+    ``problem`` is why they say nothing about the pose, None if they may; ``same`` whether they are those of the time
+    before. ``given`` is the mask that was given, even where masks are not evidence: images that are solved by
+    themselves are solved by it.
+    """
+
+    mask: Mask | None
+    image: Image | None
+    ignore: Mask | None
+    problem: str | None
+    same: bool
+    given: Mask | None
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """The arrays of one time that are used, each a tuple of V, in the order of the rig's views.
+    """What is seen at one time, in the order of the rig's views."""
 
-    ``masks``, ``images`` and ``ignored`` are None where there is none. ``problems`` is why a view says nothing about
-    the pose, None if it may; ``same`` whether its image is that of the time before. ``given`` are the masks that were
-    given, even where masks are not evidence: images that are solved by themselves are solved by them.
-    """
-
-    masks: tuple[Mask | None, ...]
-    images: tuple[Image | None, ...]
-    ignored: tuple[Mask | None, ...]
-    problems: tuple[str | None, ...]
-    same: tuple[bool, ...]
-    given: tuple[Mask | None, ...]
+    views: tuple[SeenImage, ...]
 
     @property
-    def clear(self) -> tuple[int, ...]:
-        """Indices of the views without a problem."""
-        return tuple(view for view, problem in enumerate(self.problems) if problem is None)
+    def clear(self) -> tuple[tuple[int, SeenImage], ...]:
+        """The views without a problem, with their indices."""
+        return tuple((number, view) for number, view in enumerate(self.views) if view.problem is None)
 
     @property
-    def main(self) -> int:
+    def main(self) -> SeenImage:
         """The view that messages are about: the first without a problem, or with a mask, or else the first."""
-        with_mask = (view for view, mask in enumerate(self.masks) if mask is not None)
-        return next(iter((*self.clear, *with_mask, 0)))
+        with_mask = (view for view in self.views if view.mask is not None)
+        return next(iter((*(view for _, view in self.clear), *with_mask, self.views[0])))
 
     @property
     def problem(self) -> str | None:
         """Why no view says anything about the pose; None if one may."""
-        return self.problems[self.main]
+        return self.main.problem
 
     @property
     def source(self) -> str:
         """What the evidence is taken from, for messages."""
-        return "mask" if any(self.masks[view] is not None for view in (*self.clear, self.main)) else "image"
+        return "mask" if any(view.mask is not None for view in (self.main, *dict(self.clear).values())) else "image"
 
     @property
     def any_same(self) -> bool:
         """Whether the image of a view without a problem is that of the time before."""
-        return any(self.same[view] for view in self.clear)
-
-    def copied(self) -> Seen:
-        """Return the same with arrays of its own, which the caller of the tracker does not change."""
-
-        def own(arrays: tuple[A | None, ...]) -> tuple[A | None, ...]:
-            return tuple(None if array is None else array.copy() for array in arrays)
-
-        masks = own(self.masks)
-        given = masks if self.given is self.masks else own(self.given)
-        return replace(self, masks=masks, images=own(self.images), ignored=own(self.ignored), given=given)
+        return any(view.same for _, view in self.clear)
 
     def without_frozen(self) -> Seen:
         """Return the same with a problem of each view whose image is that of the time before although the arm moved."""
-        problems = [
-            image_frozen("image" if mask is None else "mask", same) if problem is None else problem
-            for mask, problem, same in zip(self.masks, self.problems, self.same, strict=True)
-        ]
-        return replace(self, problems=tuple(problems))
+        frozen = (image_frozen("image" if view.mask is None else "mask", view.same) for view in self.views)
+        pairs = zip(self.views, frozen, strict=True)
+        return Seen(tuple(replace(view, problem=view.problem or problem) for view, problem in pairs))
 
 
 _Look = tuple[ColourModel, EdgeAppearance]
@@ -182,12 +174,10 @@ class ViewSegmenter:
         arguments = (("mask", mask), ("image", image), ("ignore", ignore))
         arrays = zip(*(self._by_view(name, value) for name, value in arguments), strict=True)
         views = [self._look_at(check, *of_view) for check, of_view in zip(self._checks, arrays, strict=True)]
-        return Seen(*zip(*views, strict=True))
+        return Seen(tuple(views))
 
-    def _look_at(
-        self, check: ImageCheck, mask: Mask | None, image: Image | None, ignore: Mask | None
-    ) -> tuple[Mask | None, Image | None, Mask | None, str | None, bool, Mask | None]:
-        """Check the arrays of one view, and return what `Seen` has of it."""
+    def _look_at(self, check: ImageCheck, mask: Mask | None, image: Image | None, ignore: Mask | None) -> SeenImage:
+        """Check the arrays of one view, and choose those that are used."""
         mask = None if mask is None else checked_mask("mask", mask)
         ignore = None if ignore is None else checked_mask("ignore", ignore)
         for name, array in (("mask", mask), ("ignore", ignore), ("image", image)):
@@ -197,7 +187,7 @@ class ViewSegmenter:
         by_image = used_mask is None and used_image is not None
         problem = check.problem(used_mask, image, ignore, by_image=by_image)
         same = check.is_same(used_image if by_image else used_mask)
-        return used_mask, used_image, ignore, problem, same, mask
+        return SeenImage(used_mask, used_image, ignore, problem, same, mask)
 
     def _by_view(self, name: str, value: Masks | Images | None) -> list[Any]:
         """Return an argument's arrays in the order of the views."""
@@ -219,11 +209,11 @@ class ViewSegmenter:
         """Whether the images have masks, or show nothing, or masks can be found in them by colours that are known."""
         if not seen.clear:
             return True
-        return any(seen.masks[view] is not None or self._looks[view] is not None for view in seen.clear)
+        return any(view.mask is not None or self._looks[number] is not None for number, view in seen.clear)
 
     def given(self, seen: Seen) -> dict[str, Mask]:
         """Return the masks of the clear views by name, of those that are given and used."""
-        return {self._names[view]: mask for view in seen.clear if (mask := seen.masks[view]) is not None}
+        return {self._names[number]: view.mask for number, view in seen.clear if view.mask is not None}
 
     def fit(self, seen: Seen, start: Posed, expected: Expected, *, near: bool) -> EdgeFit | None:
         """Fit a pose to the edges of the clear images, whose colours are known; None without any.
@@ -232,9 +222,9 @@ class ViewSegmenter:
         are looked for farther away.
         """
         images = {
-            view: ImageEvidence(image, look[1], seen.ignored[view])
-            for view in seen.clear
-            if (image := seen.images[view]) is not None and (look := self._looks[view]) is not None
+            number: ImageEvidence(view.image, look[1], view.ignore)
+            for number, view in seen.clear
+            if view.image is not None and (look := self._looks[number]) is not None
         }
         if not images:
             return None
@@ -248,67 +238,50 @@ class ViewSegmenter:
     def masks_at(self, seen: Seen, views: Sequence[View], at: Posed) -> dict[str, Mask]:
         """Find masks in the clear images about a pose that they support; those of views that show it without doubt."""
         masks = {}
-        for view in seen.clear:
-            image, look, ignored = seen.images[view], self._looks[view], seen.ignored[view]
-            if image is None or look is None:
+        for number, view in seen.clear:
+            look = self._looks[number]
+            if view.image is None or look is None:
                 continue
-            outside = outside_view(image)
-            if ignored is not None:
-                outside = outside | ignored
-            silhouette = silhouette_of(at, views[view], self._body)
-            found = mask_around(image, silhouette, look[0], outside, SPREAD_OF_FIT, passes=1)
+            outside = outside_view(view.image)
+            if view.ignore is not None:
+                outside = outside | view.ignore
+            silhouette = silhouette_of(at, views[number], self._body)
+            found = mask_around(view.image, silhouette, look[0], outside, SPREAD_OF_FIT, passes=1)
             if found is not None and found.unsupported <= UNSUPPORTED:
-                masks[self._names[view]] = found.mask
+                masks[self._names[number]] = found.mask
         return masks
 
-    def first_masks(self, seen: Seen, *, hinted: bool, around: Mapping[int, Box]) -> dict[str, Mask]:
+    def first_masks(self, seen: Seen, *, hinted: bool) -> dict[str, Mask]:
         """Return the masks by name of the view: those given, or that of the first image in which one is found.
 
-        If the images are ``hinted``, the hints hold for that of the first view. ``around``, by view, are boxes that
-        hold the instrument where there are none.
+        If the images are ``hinted``, the hints hold for that of the first view.
         """
-        given = {name: mask for name, mask in zip(self._names, seen.given, strict=True) if mask is not None}
+        given = {name: of.given for name, of in zip(self._names, seen.views, strict=True) if of.given is not None}
         if given:
             return given
-        for view in seen.clear:
-            hints = self._hints if hinted and view == 0 else Hints()
-            if hints == Hints() and view in around:
-                hints = Hints(box=around[view])
-            image = seen.images[view]
-            if image is None:
+        for number, view in seen.clear:
+            hints = self._hints if hinted and number == 0 else Hints()
+            if view.image is None:
                 continue
-            found = segment(image, **vars(hints))
+            found = segment(view.image, **vars(hints))
             if found.mask.any() and (hinted or found.confidence >= GUESS):  # with its own hints it is no guess
-                return {self._names[view]: found.mask}
+                return {self._names[number]: found.mask}
         return {}
 
     def ignored(self, seen: Seen) -> dict[str, Mask]:
         """Return the ignored pixels by name of the view."""
-        return {name: ignored for name, ignored in zip(self._names, seen.ignored, strict=True) if ignored is not None}
+        return {name: of.ignore for name, of in zip(self._names, seen.views, strict=True) if of.ignore is not None}
 
     def learn(self, seen: Seen, views: Sequence[View], at: Posed) -> None:
         """Learn how the instrument, of a pose that is trusted, looks in the images."""
-        for view in seen.clear:
-            image, ignored, before = seen.images[view], seen.ignored[view], self._looks[view]
-            if image is None:
+        for number, view in seen.clear:
+            if view.image is None:
                 continue
-            drawn = self._outlines.draw(at, view)
-            colours = learned_colours(image, silhouette_of(at, views[view], self._body), ignored)
+            drawn, before = self._outlines.draw(at, number), self._looks[number]
+            colours = learned_colours(view.image, silhouette_of(at, views[number], self._body), view.ignore)
             if drawn is None or colours is None:
                 continue
-            along, share = learned(image, drawn.pixels, drawn, ignored), self._colour_share
+            along, share = learned(view.image, drawn.pixels, drawn, view.ignore), self._colour_share
             if before is not None:
                 colours, along = before[0].mixed(colours, share), before[1].mixed(along, share)
-            self._looks[view] = colours, along
-
-    def boxes_around(self, at: Posed, views: Sequence[View]) -> dict[int, Box]:
-        """Return a box around the silhouette of a pose in each view that shows it, with a margin."""
-        boxes = {}
-        for number, view in enumerate(views):
-            rows, columns = np.nonzero(silhouette_of(at, view, self._body))
-            if len(rows):
-                height, width = self._checks[number].size
-                low = np.maximum(np.array([columns.min(), rows.min()]) - _MARGIN * width, 0)
-                high = np.minimum(np.array([columns.max(), rows.max()]) + _MARGIN * width, [width - 1, height - 1])
-                boxes[number] = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
-        return boxes
+            self._looks[number] = colours, along

@@ -24,20 +24,27 @@ from dvrk_cmaes.calibration.prediction import Prediction, calibration_covariance
 from dvrk_cmaes.calibration.session_doubts import resting_on
 from dvrk_cmaes.calibration.session_masks import covariance_of_masks
 from dvrk_cmaes.calibration.solve import robust_weights
+from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN
 from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.camera_errors import covariance_by_camera
 from dvrk_cmaes.pose.doubts import FOLLOWED, pose_lost, reasons
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
-from dvrk_cmaes.pose.judge import doubts_of_agreement
+from dvrk_cmaes.pose.judge import doubts_in_views, doubts_of_agreement
 from dvrk_cmaes.pose.probability import tip_probability
+from dvrk_cmaes.pose.quality import measure_overlap, pooled_quality
 from dvrk_cmaes.pose.terms.shared_errors import MEAN_ERRORS
+from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import ExpectedError
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
+from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.colour_edges import EdgeFit
-from dvrk_cmaes.track.frame_fits import Found, JudgedFrame
+
+Found = tuple[Posed, Float64, Float64]
+"""Pose and joints, their covariance (D, D) given the camera, and that by the camera's errors."""
 
 SLOW_SHARE: Final = 0.8
 """Share of a deviation's variance that changes slowly."""
@@ -237,21 +244,25 @@ class Window:
             found.append((at, covariance, of_camera))
         return found
 
-    def judged(self, shown: JudgedFrame | None, misfit: float, source: str = "mask") -> Judged:
-        """Judge an image by how its pose explains the masks, None if these show nothing; ``source`` names the evidence.
+    def judged(
+        self, views: Sequence[FrameView], found: Found, misfit: float, body: Body, source: str = "mask"
+    ) -> Judged:
+        """Judge an image by how its pose explains the masks of views; ``source`` names the evidence.
 
         ``misfit`` is the squared misfit per parameter of its fit and the prediction.
         """
-        no_support = pose_lost(source, None if shown is None else shown.quality.iou)
-        if shown is None:
-            return Judged("lost", reasons(no_support))
-        error, residual_px, iou = shown.error, shown.residual_px, shown.quality.iou
-        explained = iou >= self.calibration.iou - FOLLOWED.overlap_loss
+        at, covariance, of_camera = found
+        qualities = [measure_overlap(view, at) for view in views]
+        error = expected_error(self.instrument, at, covariance, of_camera)
+        shown, _ = doubts_in_views(at, views, qualities, error, self.config.trust, "followed")
+        quality = pooled_quality(qualities)
+        residual_px, least_iou = NORMAL_MEDIAN * quality.contour_px_median, self.calibration.iou - FOLLOWED.overlap_loss
+        explained = quality.iou >= least_iou
+        no_support = pose_lost(source, quality.iou)
         if no_support is not None:
             return Judged("lost", reasons(no_support), error, residual_px, explained)
         usual, scale = (self.calibration.iou, self.calibration.contour_px_95), self.camera.pixel_scale
-        agreement = doubts_of_agreement("followed", misfit, self.config.session, shown.quality, usual, scale)
-        doubts = [*shown.reasons, *agreement]
+        doubts = [*shown, *doubts_of_agreement("followed", misfit, self.config.session, quality, usual, scale)]
         return Judged("doubtful" if doubts else "ok", doubts, error, residual_px, explained)
 
     def result(
@@ -296,3 +307,11 @@ def mean_of_tips_mm(instrument: Instrument, error: ExpectedError) -> float | Non
     """Return the mean of the tips' expected errors, mm; None for an instrument without tips."""
     each = [value for name, value in error.tip_mm.items() if name != "mean"]
     return float(np.mean(each)) if instrument.jaw_tips else None
+
+
+def judge_frame(
+    body: Body, config: EstimateConfig, task: tuple[StoredFrame, Found, float], *, window: Window, source: str
+) -> Judged:
+    """Judge a frame, given its evidence, its pose, and its misfit, as `Window.judged` does."""
+    stored, found, misfit = task
+    return window.judged([view.restored(body) for view in stored.views], found, misfit, body, source)

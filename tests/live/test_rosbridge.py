@@ -103,7 +103,12 @@ def live(monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
     inputs.subscribe(connection)
     outputs = Outputs(connection, FrameNames())
     arm = LiveArm(
-        "PSM1", lambda rig: tracker, outputs, lines.append, inputs.now, draw=lambda rig: lambda image, result: image
+        "PSM1",
+        lambda rig: tracker,
+        outputs,
+        lines.append,
+        inputs.now,
+        draw=lambda rig: lambda image, result, state: image,
     )
     loop = LiveLoop([arm], inputs, lines.append, rig=Rig.of_camera(Camera(WIDTH, HEIGHT, 80.0, 80.0, 31.5, 22.0)))
     lines.clear()
