@@ -92,6 +92,8 @@ class Found:
     tips: np.ndarray | None = None
     camera_from_base: np.ndarray | None = None
 
+    def covariance_in_camera(self) -> None: ...
+
 
 def stamp(time: float) -> dict[str, Any]:
     seconds, rest = divmod(BEGIN + round(time * SECOND), SECOND)
