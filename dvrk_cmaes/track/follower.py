@@ -5,7 +5,6 @@ The terms of an image are those of a recording on disk (`frame_fits`). The base 
 
 from __future__ import annotations
 
-import time as clock
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -128,7 +127,7 @@ class Follower:
         """Whether the last images disagree with the calibration."""
         return self.disagreeing >= _DISAGREES
 
-    def _predicted(self, reading: ReadingAt, outer: Float64, time: float | None) -> Prediction:
+    def _predicted(self, reading: ReadingAt, outer: Float64, time: float) -> Prediction:
         """Predict an image from its readings less the lag, with other readings of the outer joints (4,), rad and m."""
         self._ecm = self._ecm if reading.ecm is None else reading.ecm
         endoscope = endoscope_at(self.calibration, time, self._ecm)
@@ -159,7 +158,7 @@ class Follower:
 
         An image whose masks, by view, do not show the instrument well does not tell against the calibration.
         """
-        started, given = clock.perf_counter(), self._given
+        given = self._given
         self._began = min(self._began, time)
         self.seconds = time - self._began
         if reading.has_outer:
@@ -197,7 +196,7 @@ class Follower:
             *judged.reasons,
             *reasons(readings_missing(reading.has_outer, still, seen.source)),
         ]
-        return self._window.result(image, found, judged, doubts, seconds=clock.perf_counter() - started)
+        return self._window.result(image, found, judged, doubts)
 
     def _count(self, judged: Judged, misfit: float, reading: ReadingAt, *, in_view: bool) -> None:
         """Count images that disagree; ``in_view`` is whether this one shows enough to contradict the calibration."""

@@ -30,52 +30,6 @@ from dvrk_cmaes.track.outlines import OutlineModel
 Mask = Bool
 
 
-class ImageCheck:
-    """Checks the images of one camera; ``black_level`` is the brightest pixel below which an image counts as black."""
-
-    def __init__(self, camera: Camera, black_level: int) -> None:
-        self.size = (camera.height, camera.width)
-        self._black_level = black_level
-        self.last: int | None = None
-        """Checksum of the latest mask; None without one."""
-
-    def check_size(self, name: str, array: Bool | NDArray[np.uint8] | None) -> None:
-        """Raise an InputError for an array that is not of the camera's size, or for an image that is not (H, W, 3)."""
-        if array is None:
-            return
-        if name == "image" and (
-            array.dtype != np.uint8 or array.ndim not in (2, 3) or array.shape[2:] not in ((), (3,))
-        ):
-            raise InputError(f"image: expected (H, W, 3) uint8, BGR, got {array.dtype} of shape {array.shape}")
-        if array.shape[:2] != self.size:
-            raise InputError(
-                f"{name}: expected {self.size[1]} x {self.size[0]} pixels as the camera has, got an array of shape "
-                f"{array.shape}"
-            )
-
-    def problem(
-        self, mask: Mask | None, image: NDArray[np.uint8] | None, ignore: Mask | None, *, by_image: bool
-    ) -> str | None:
-        """Return why an image says nothing about the pose; None if it may. ``by_image``: its colours are used."""
-        brightest = self._black_level if image is None else int(image.max())
-        black = image_black(brightest, self._black_level)
-        if black is not None or by_image:
-            return black
-        if mask is None:
-            return mask_says_nothing(given=False, shown=False, surrounded=False)
-        counts = np.ones_like(mask) if ignore is None else ~ignore
-        return mask_says_nothing(given=True, shown=bool((mask & counts).any()), surrounded=bool((~mask & counts).any()))
-
-    def is_same(self, array: Mask | NDArray[np.uint8] | None) -> bool:
-        """Whether a mask or an image is that of the call before; of an image, every fourth row is compared."""
-        if array is None:
-            seen = None
-        else:
-            seen = crc32(np.packbits(array).tobytes() if array.dtype == np.bool_ else array[::4].tobytes())
-        before, self.last = self.last, seen
-        return array is not None and self.last == before
-
-
 Masks = Mask | Mapping[str, Mask | None] | Sequence[Mask | None]
 """The mask (H, W) of a camera, or those of a rig's views: by name, or in the rig's order; None for a missing one."""
 Images = Image | Mapping[str, Image | None] | Sequence[Image | None]
@@ -140,6 +94,60 @@ class Seen:
         return Seen(tuple(replace(view, problem=view.problem or problem) for view, problem in pairs))
 
 
+class ImageCheck:
+    """Checks the images of one camera; ``black_level`` is the brightest pixel below which an image counts as black."""
+
+    def __init__(self, camera: Camera, black_level: int) -> None:
+        self._size = (camera.height, camera.width)
+        self._black_level = black_level
+        self._last: int | None = None  # checksum of the latest mask or image; None without one
+
+    def look(self, kind: EvidenceKind | None, mask: Mask | None, image: Image | None, ignore: Mask | None) -> SeenImage:
+        """Check the arrays of one view, and choose those that are used."""
+        mask = None if mask is None else checked_mask("mask", mask)
+        ignore = None if ignore is None else checked_mask("ignore", ignore)
+        for name, array in (("mask", mask), ("ignore", ignore), ("image", image)):
+            self._check_size(name, array)
+        used_mask = None if kind == "images" else mask
+        used_image = None if kind == "masks" or (image is not None and image.ndim == 2) else image
+        by_image = used_mask is None and used_image is not None
+        before, self._last = self._last, None
+        if used_mask is not None:
+            self._last = crc32(np.packbits(used_mask).tobytes())
+        elif used_image is not None:
+            self._last = crc32(used_image[::4].tobytes())
+        same = self._last is not None and self._last == before
+        problem = self._problem(used_mask, image, ignore, by_image=by_image)
+        return SeenImage(used_mask, used_image, ignore, problem, same, mask)
+
+    def _check_size(self, name: str, array: Bool | NDArray[np.uint8] | None) -> None:
+        """Raise an InputError for an array that is not of the camera's size, or for an image that is not (H, W, 3)."""
+        if array is None:
+            return
+        if name == "image" and (
+            array.dtype != np.uint8 or array.ndim not in (2, 3) or array.shape[2:] not in ((), (3,))
+        ):
+            raise InputError(f"image: expected (H, W, 3) uint8, BGR, got {array.dtype} of shape {array.shape}")
+        if array.shape[:2] != self._size:
+            raise InputError(
+                f"{name}: expected {self._size[1]} x {self._size[0]} pixels as the camera has, got an array of shape "
+                f"{array.shape}"
+            )
+
+    def _problem(
+        self, mask: Mask | None, image: NDArray[np.uint8] | None, ignore: Mask | None, *, by_image: bool
+    ) -> str | None:
+        """Return why an image says nothing about the pose; None if it may. ``by_image``: its colours are used."""
+        brightest = self._black_level if image is None else int(image.max())
+        black = image_black(brightest, self._black_level)
+        if black is not None or by_image:
+            return black
+        if mask is None:
+            return mask_says_nothing(given=False, shown=False, surrounded=False)
+        counts = np.ones_like(mask) if ignore is None else ~ignore
+        return mask_says_nothing(given=True, shown=bool((mask & counts).any()), surrounded=bool((~mask & counts).any()))
+
+
 _Look = tuple[ColourModel, EdgeAppearance]
 """How the instrument and its surroundings look in a view: colours on the whole, and along the outline."""
 
@@ -173,21 +181,8 @@ class ViewSegmenter:
         """Check the arrays of all views, and choose those that are used; InputError for wrong sizes, names, numbers."""
         arguments = (("mask", mask), ("image", image), ("ignore", ignore))
         arrays = zip(*(self._by_view(name, value) for name, value in arguments), strict=True)
-        views = [self._look_at(check, *of_view) for check, of_view in zip(self._checks, arrays, strict=True)]
+        views = (check.look(self._kind, *of_view) for check, of_view in zip(self._checks, arrays, strict=True))
         return Seen(tuple(views))
-
-    def _look_at(self, check: ImageCheck, mask: Mask | None, image: Image | None, ignore: Mask | None) -> SeenImage:
-        """Check the arrays of one view, and choose those that are used."""
-        mask = None if mask is None else checked_mask("mask", mask)
-        ignore = None if ignore is None else checked_mask("ignore", ignore)
-        for name, array in (("mask", mask), ("ignore", ignore), ("image", image)):
-            check.check_size(name, array)
-        used_mask = None if self._kind == "images" else mask
-        used_image = None if self._kind == "masks" or (image is not None and image.ndim == 2) else image
-        by_image = used_mask is None and used_image is not None
-        problem = check.problem(used_mask, image, ignore, by_image=by_image)
-        same = check.is_same(used_image if by_image else used_mask)
-        return SeenImage(used_mask, used_image, ignore, problem, same, mask)
 
     def _by_view(self, name: str, value: Masks | Images | None) -> list[Any]:
         """Return an argument's arrays in the order of the views."""
