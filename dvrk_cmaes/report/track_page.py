@@ -40,9 +40,9 @@ class TrackEvent:
     reason: str
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class FollowedRecording:
-    """A followed recording of F frames, as its page shows it.
+    """A followed recording of F frames, as its page shows it; what is drawn of them is added one after the other.
 
     rows : F lines of tracks.jsonl. session : name of the recording. instrument : name of the instrument.
     calibration : base, offsets and lag as they were found, or None. readings : at the images' times by joint, (F,) rad,
@@ -56,9 +56,31 @@ class FollowedRecording:
     instrument: str
     calibration: SessionCalibration | None = None
     readings: Mapping[str, Float64] = field(default_factory=dict)
-    overlaps: Float64 | None = None
-    pictures: Mapping[int, str] = field(default_factory=dict)
+    overlaps: Float64 = field(default_factory=lambda: np.zeros(0))
+    pictures: dict[int, str] = field(default_factory=dict)
     video: str = ""
+
+    def __post_init__(self) -> None:
+        if not len(self.overlaps):
+            self.overlaps = np.full(len(self.rows), np.nan)
+        self._chosen = frozenset(chosen_frames(self.rows))
+
+    def add(self, number: int, views: Sequence[TrackView]) -> None:
+        """Take what is needed of the frame of an index: the overlap in its views, and a picture of them.
+
+        Parameters
+        ----------
+        number
+            Index of the frame.
+        views
+            What was seen in it.
+        """
+        pairs = [(v.mask, v.silhouette) for v in views if v.mask is not None and v.silhouette is not None]
+        union = sum(int((mask | silhouette).sum()) for mask, silhouette in pairs)
+        if union:
+            self.overlaps[number] = sum(int((mask & silhouette).sum()) for mask, silhouette in pairs) / union
+        if number in self._chosen:
+            self.pictures[number] = webp(draw_outlines(views), len(views) * _WIDTH, _QUALITY)
 
     @property
     def times(self) -> Float64:
@@ -70,24 +92,6 @@ class FollowedRecording:
     def timed(self) -> bool:
         """Whether the times of all frames are known."""
         return all(row["time"] is not None for row in self.rows)
-
-
-class TrackPictures:
-    """Gathers what a page needs of the frames of a recording, one after the other."""
-
-    def __init__(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        self._chosen = frozenset(chosen_frames(rows))
-        self.overlaps = np.full(len(rows), np.nan)
-        self.pictures: dict[int, str] = {}
-
-    def add(self, number: int, views: Sequence[TrackView]) -> None:
-        """Take what is needed of the frame of an index: the overlap in its views, and a picture of them."""
-        pairs = [(v.mask, v.silhouette) for v in views if v.mask is not None and v.silhouette is not None]
-        union = sum(int((mask | silhouette).sum()) for mask, silhouette in pairs)
-        if union:
-            self.overlaps[number] = sum(int((mask & silhouette).sum()) for mask, silhouette in pairs) / union
-        if number in self._chosen:
-            self.pictures[number] = webp(draw_outlines(views), len(views) * _WIDTH, _QUALITY)
 
 
 def chosen_frames(rows: Sequence[Mapping[str, Any]], most: int = MOST_PICTURES) -> list[int]:
@@ -167,7 +171,7 @@ def _figures(recording: FollowedRecording, events: Sequence[TrackEvent]) -> Iter
         note = f"longest: {longest.frames} frame{many}, from {rows[longest.first]['frame']}"
     yield KeyFigure("Lost", {0: "never", 1: "once"}.get(len(gaps), f"{len(gaps)} times"), note)
     overlaps = recording.overlaps
-    if overlaps is not None and np.isfinite(overlaps).any():
+    if np.isfinite(overlaps).any():
         worst = int(np.nanargmin(overlaps))
         note = f"lowest {overlaps[worst]:.3f} ({rows[worst]['frame']})"
         yield KeyFigure("Overlap (IoU), median", f"{np.nanmedian(overlaps):.3f}", note)
@@ -204,12 +208,11 @@ def track_charts(recording: FollowedRecording) -> list[Chart]:
     ]
     tips = 1e3 * np.array([np.mean(row["tips"], axis=0) if row["tips"] else [np.nan] * 3 for row in rows])
     middle = np.nanmedian(tips, axis=0) if np.isfinite(tips).any() else np.zeros(3)
-    overlaps = np.full(len(rows), np.nan) if recording.overlaps is None else recording.overlaps
     known = {name: np.degrees(_column(rows, "offsets", name)) for name in offsets}
     off, std = {axis: tips[:, k] - middle[k] for k, axis in enumerate("xyz")}, _column(rows, "std", "tip_mm")
     charts = [
         ("Offsets", "deg", known, "True = reading + offset, as it was known at the time.", 0.0),
-        ("Overlap of mask and pose", "IoU", {"": overlaps}, "", 0.02),
+        ("Overlap of mask and pose", "IoU", {"": recording.overlaps}, "", 0.02),
         ("Tips in the camera", "mm from the median", off, "Mean of the tips: x right, y down, z forward.", 0.0),
         ("Standard deviation of the tips", "mm", {"": std}, "", 0.0),
     ]

@@ -16,7 +16,7 @@ from dvrk_cmaes.draw.track_overlay import draw_track, draw_track_of_arms
 from dvrk_cmaes.export.rerun_file import rerun_file
 from dvrk_cmaes.geometry import Float64, apply
 from dvrk_cmaes.io.video_writer import whole_video
-from dvrk_cmaes.report.track_page import FollowedRecording, TrackPictures, write_track_page
+from dvrk_cmaes.report.track_page import FollowedRecording, write_track_page
 from dvrk_cmaes.results.followed import result_of_row
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.track_files import VIDEO
@@ -78,7 +78,10 @@ def write_outputs(arm: TrackedArm) -> None:
     if not (settings.video or settings.page or settings.rerun is not None):
         return
     rig, instrument, name = arm.session.rig, arm.body.instrument, arm.session.folder.resolve().name
-    pictures, log, writer = TrackPictures(rows) if settings.page else None, None, None
+    page, log, writer = None, None, None
+    if settings.page:
+        video = VIDEO if settings.video else ""
+        page = FollowedRecording(rows, name, instrument.name, arm.calibration, readings, video=video)
     with ExitStack() as opened:
         if settings.video:
             writer = opened.enter_context(whole_video(arm.out / VIDEO, _size_of_views(rig), arm.frames_a_second))
@@ -87,14 +90,13 @@ def write_outputs(arm: TrackedArm) -> None:
         for number, (row, views) in enumerate(_seen_frames(arm)):
             if writer is not None:
                 writer.write(draw_track(views, frame=row["frame"], status=row["status"], reasons=row["reasons"]))
-            if pictures is not None:
-                pictures.add(number, views)
+            if page is not None:
+                page.add(number, views)
             if log is not None:
                 read = {joint: float(values[number]) for joint, values in readings.items()}
                 log.add(number, row, read, views)
-    if pictures is not None:
-        of_page = name, instrument.name, arm.calibration, readings, pictures.overlaps, pictures.pictures
-        write_track_page(arm.out, FollowedRecording(rows, *of_page, video=VIDEO if settings.video else ""))
+    if page is not None:
+        write_track_page(arm.out, page)
 
 
 def write_track_arms(out: Path, arms: Mapping[str, TrackedArm]) -> None:
