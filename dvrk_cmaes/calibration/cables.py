@@ -412,16 +412,20 @@ class SessionCables(Document):
 
         One about which the session says no more than is expected beforehand, as of readings that never change, is not.
         """
-        texts: list[tuple[float, str]] = []
-        spread = cable_prior(self.joints).spread
-        for j, name in enumerate(self.joints):
-            for k, other in enumerate(self.joints):
-                value, std = self.coupling[j][k], self.coupling_std[j][k]
-                if abs(value) > max(_CERTAIN * std, _LEAST_COUPLING) and std <= _DETERMINED * spread[j, k]:
-                    acts = f"{other} drags {name}" if j != k else f"{name} is scaled"
-                    text = f"{acts} by {np.degrees(value):+z.0f} deg a rad, std {np.degrees(std):.0f}"
-                    texts.append((abs(value), text))
-            texts += self._play_in_words(j, name, spread[j, len(self.joints) :])
+        count, texts = len(self.joints), list[tuple[float, str]]()
+        spread, width = cable_prior(self.joints).spread, np.array(self.width)
+        play = np.array(self.play) + NARROW * np.diag(self.narrow)
+        play_std = np.hypot(self.play_std, NARROW * np.diag(self.narrow_std))
+        usual = np.hypot(spread[:, count:-1], NARROW * np.diag(spread[:, -1]))
+        for j, k in _clear(np.array(self.coupling), np.array(self.coupling_std), spread[:, :count], _LEAST_COUPLING):
+            acts = f"{self.joints[k]} drags {self.joints[j]}" if j != k else f"{self.joints[j]} is scaled"
+            value, std = self.coupling[j][k], self.coupling_std[j][k]
+            texts.append((abs(value), f"{acts} by {np.degrees(value):+z.0f} deg a rad, std {np.degrees(std):.0f}"))
+        for j, k in _clear(play, play_std, usual, _LEAST_PLAY / width):
+            acts, size = f"play of {self.joints[k]} moves {self.joints[j]}", np.degrees(width[k])
+            acts = acts if j != k else f"{self.joints[j]} stays behind its reading"
+            text = f"{acts} by up to {size * abs(play[j, k]):.0f} deg, std {size * play_std[j, k]:.0f}"
+            texts.append((abs(play[j, k]), text))
         yield from (text for _, text in sorted(texts, reverse=True))
         if "wander" in self.parts:
             each = ", ".join(
@@ -430,17 +434,10 @@ class SessionCables(Document):
             )
             yield f"wander: {each}"
 
-    def _play_in_words(self, j: int, name: str, spread: Float64) -> Iterator[tuple[float, str]]:
-        """Yield what play does to one joint, with its size; ``spread`` (C + 1,) is expected of its coefficients."""
-        for k, other in enumerate(self.joints):
-            gain, variance, usual = self.play[j][k], self.play_std[j][k] ** 2, spread[k] ** 2
-            if j == k:
-                gain, variance = gain + NARROW * self.narrow[j], variance + (NARROW * self.narrow_std[j]) ** 2
-                usual += (NARROW * spread[-1]) ** 2
-            size, std = abs(gain) * self.width[k], variance**0.5 * self.width[k]
-            if size > max(_CERTAIN * std, _LEAST_PLAY) and variance <= _DETERMINED**2 * usual:
-                acts = f"{name} stays behind its reading" if j == k else f"play of {other} moves {name}"
-                yield abs(gain), f"{acts} by up to {np.degrees(size):.0f} deg, std {np.degrees(std):.0f}"
+
+def _clear(values: Float64, std: Float64, usual: Float64, least: Float64 | float) -> list[list[int]]:
+    """Return the places of coefficients (C, C) that are clearly not zero, at least ``least``, and better known now."""
+    return np.argwhere((np.abs(values) > np.maximum(_CERTAIN * std, least)) & (std <= _DETERMINED * usual)).tolist()
 
 
 def _row(values: Float64) -> Row:

@@ -122,13 +122,12 @@ def calibrate_session(
 
 
 class _Given(NamedTuple):
-    """What an arm's session is made of: all ``frames``, and why some are ``left_out`` from the beginning.
+    """What an arm's session is made of: all ``frames``.
 
     ``commanded`` are the only readings of joints whose readings never move, ``started`` when this began.
     """
 
     frames: Sequence[SessionFrame]
-    left_out: Mapping[str, str]
     commanded: Mapping[str, float]
     started: float
 
@@ -150,8 +149,8 @@ def begin_arm(frames: Sequence[SessionFrame], setup: ArmSetup) -> Begun[tuple[So
     if turns := turns_of(rotations):
         usable = [frame.with_turned_views(turns) for frame in usable]
     only = {name: next(own[name] for own in readings if name in own) for name in commanded}
-    given = _Given(tuple(frames), left_out, only, started)
-    return Begun(partial(_finished, given), ArmSession.of(setup, usable, rotations))
+    arm = replace(ArmSession.of(setup, usable, rotations), left_out=left_out)
+    return Begun(partial(_finished, _Given(tuple(frames), only, started)), arm)
 
 
 def _finished(given: _Given, outcome: Outcome | None) -> tuple[SolvedSession, dict[str, Evidence]]:
@@ -166,7 +165,7 @@ def _finished(given: _Given, outcome: Outcome | None) -> tuple[SolvedSession, di
     by_name = dict(zip((frame.name for frame in arm.frames), reports, strict=True))
     results = {frame.name: frame.result for frame in given.frames}
     results |= {name: report.result for name, report in by_name.items()}
-    given = given._replace(left_out={**given.left_out, **reasons})
+    arm = replace(arm, left_out=reasons)
     predicted = {name: report.leave_one_out for name, report in by_name.items()}
     calibration = _stated(given, arm, check, errors, results, predicted)
     calibration = _judged(arm, calibration, [by_name[name].end_missing for name in calibration.frames])
@@ -184,7 +183,7 @@ def _stated(
     predicted: Mapping[str, LeaveOneOutPrediction],
 ) -> SessionCalibration:
     """State what a session that is solved shows, without doubts."""
-    left_out, commanded, lag = given.left_out, list(given.commanded), arm.lag
+    left_out, commanded, lag = arm.left_out, list(given.commanded), arm.lag
     settings, instrument = arm.setup.config, arm.setup.instrument
     names = tuple(frame.name for frame in arm.frames)
     frames = tuple(name for name in names if name not in left_out)
