@@ -83,7 +83,7 @@ class SearchConfig:
 
     method: str = "cmaes"
     samples: int = 768
-    starts: int = 48
+    starts: int = 16
     evaluations: int = 960
     width_px: int = field(default=80, metadata=_WIDTH)
     detail_m: float = field(default=6e-4, metadata=Limits(least=1e-6).metadata)

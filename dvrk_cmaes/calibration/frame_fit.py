@@ -400,7 +400,9 @@ def _coverage(
 
 def _noise(coverage: Coverage, own_estimate: OwnEstimate, cameras: Sequence[Camera] | None) -> float:
     """Measure the noise at the own estimate, whose cameras may be other ones, as in `fit_frame`."""
-    return (coverage if cameras is None else coverage.with_cameras(cameras)).noise_at(own_estimate.at)
+    if cameras is not None:
+        coverage = coverage.changed([view.with_camera(one) for view, one in zip(coverage.views, cameras, strict=True)])
+    return coverage.noise_at(own_estimate.at)
 
 
 _SETTLED = 0.15  # standard deviations per parameter; a frame whose fit would move by less is not fitted again

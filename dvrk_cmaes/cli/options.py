@@ -273,7 +273,7 @@ class MethodOptions:
     Parameters
     ----------
     search
-        Method of the global search: cmaes (default), crs2, esch, isres, direct-l, bobyqa or sbplx. The others are there
+        Method of the global search: cmaes (default), esch, isres, direct-l, bobyqa or sbplx. The others are there
         to compare with: they find the same modes in more time.
     preset
         card: Gauss-Newton takes its derivatives by central differences of outlines drawn anew, not in closed form:

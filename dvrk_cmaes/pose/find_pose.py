@@ -103,14 +103,15 @@ def find_pose(
         ViewCheck(view.name, quality, np.degrees(turn), np.degrees(np.degrees(spread)))
         for view, quality, (turn, spread) in zip(views, of_views, of_rig, strict=True)
     )
+    drawing_views = [*local.renderers, *(view.renderer for view in views)]
     reasons, notes, of_tips = judge(modes, views, checks, expected, probability, readings, config.trust)
     return FoundPose(
         at=best.at,
         covariance=covariance,
         quality=pooled,
         reasons=tuple(reasons),
-        evaluations=evaluations + local.silhouettes + sum(view.renderer.poses for view in views),
-        rays=rays + local.rays + sum(view.renderer.rays for view in views),
+        evaluations=evaluations + sum(each.poses for each in drawing_views),
+        rays=rays + sum(each.rays for each in drawing_views),
         expected_error=expected,
         mode_probability=probability,
         tip_probability=of_tips,

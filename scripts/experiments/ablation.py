@@ -1,8 +1,8 @@
-"""Ablation: frames of sessions with truth, each solved by variants of the search, with and without readings.
+"""Ablation: frames of sessions with truth, each solved by variants of the search, with or without readings.
 
-    python scripts/experiments/ablation.py FOLDER... [--frames N] [--keep DIR] [--out FILE]
+    python scripts/experiments/ablation.py FOLDER... [--frames N] [--readings] [--keep DIR] [--out FILE]
 
-A pose is in the right mode if it is within 30 degrees of the truth, and in its mirror twin's within 30 degrees of that,
+A pose is found if it is within 12 degrees of the truth and 20 degrees in each joint, or of the truth's mirror twin,
 which an outline without readings hardly distinguishes from it. Solved variants are kept in DIR and reused. The table is
 written to data/experiments/ablation.md.
 """
@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from experiment import OUT, commit, machine_class, progress, table
+from experiment import OUT, commit, machine_class, progress, table, wilson
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.estimation import estimate
@@ -31,7 +31,8 @@ from dvrk_cmaes.io.atomic import write_json, write_text
 from dvrk_cmaes.pose.search import METHODS
 from dvrk_cmaes.silhouette.prepare import prepare
 
-RIGHT_MODE_DEG: Final = 30.0
+FOUND_DEG: Final = 12.0, 20.0
+"""Largest rotation from the truth or its mirror twin, and largest difference of a joint, of a pose that is found."""
 UNCHANGED: Final = "as it is"
 
 
@@ -41,7 +42,7 @@ def variants(config: EstimateConfig) -> Iterator[tuple[str, EstimateConfig]]:
     yield UNCHANGED, config
     yield "optimiser off", replace(config, search=replace(search, evaluations=1))
     for field in fields(config.weights):
-        if field.name != "line_offset":
+        if field.name not in ("line_offset", "found_tips"):  # of found tips, no keypoints is the same
             yield f"loss: no {field.name}", replace(config, weights=replace(config.weights, **{field.name: 0.0}))
     yield "silhouettes: count", replace(config, silhouette=replace(config.silhouette, method="count"))
     yield "seeds: no shaft edges", replace(config, search=replace(search, use_edges=False))
@@ -52,8 +53,10 @@ def variants(config: EstimateConfig) -> Iterator[tuple[str, EstimateConfig]]:
     yield "refinement: differences", replace(config, refine=replace(config.refine, derivatives="differences"))
 
 
-def solved(config: EstimateConfig, folders: Sequence[Path], most: int, label: str) -> list[dict[str, Any]]:
-    """Solve the first frames of each folder with and without readings, and compare them with the truth."""
+def solved(
+    config: EstimateConfig, folders: Sequence[Path], most: int, label: str, *, readings: bool
+) -> list[dict[str, Any]]:
+    """Solve the first frames of each folder, and compare them with the truth."""
     body = prepare("lnd")
     names, rows = body.instrument.joint_names, []
     for folder in folders:
@@ -61,34 +64,34 @@ def solved(config: EstimateConfig, folders: Sequence[Path], most: int, label: st
         golden = json.loads((folder / "golden.json").read_text(encoding="utf-8"))["frames"]
         for files in session.frames[:most]:
             data, truth = read_frame(files, session.camera), golden[files.name]
-            true, joints = np.array(truth["T_camera_roll_link"]), np.array([truth["joints"][name] for name in names])
-            twin, _ = body.instrument.twin(true, joints)
-            for readings in (files.readings, {}):
-                began = time.process_time()
-                result = estimate(data.mask, data.camera, readings, body, config=config)
-                row: dict[str, Any] = {"readings": bool(readings), "seconds": time.process_time() - began}
-                if result.camera_from_root is not None:
-                    found = result.camera_from_root
-                    right, turned = (np.degrees(rotation_angle(each, found)) < RIGHT_MODE_DEG for each in (true, twin))
-                    truly = true, dict(zip(names, joints, strict=True))
-                    error = compare_poses(body.instrument, (found, result.joints), truly)
-                    row |= {"right": bool(right), "twin": bool(turned and not right), "tip_mm": error.tip_mm}
-                rows.append(row)
-                progress(label, len(rows), 2 * most * len(folders))
+            true = np.array(truth["T_camera_roll_link"]), np.array([truth["joints"][name] for name in names])
+            began = time.process_time()
+            result = estimate(data.mask, data.camera, files.readings if readings else {}, body, config=config)
+            row: dict[str, Any] = {"seconds": time.process_time() - began}
+            if result.camera_from_root is not None:
+                joints = np.array([result.joints[name] for name in names])
+                row["right"], row["twin"] = (
+                    bool(
+                        np.degrees(rotation_angle(pose, result.camera_from_root)) < FOUND_DEG[0]
+                        and np.degrees(np.abs(values - joints)).max() < FOUND_DEG[1]
+                    )
+                    for pose, values in (true, body.instrument.twin(*true))
+                )
+                truly = true[0], dict(zip(names, true[1].tolist(), strict=True))
+                row["tip_mm"] = compare_poses(body.instrument, (result.camera_from_root, result.joints), truly).tip_mm
+            rows.append(row)
+            progress(label, len(rows), most * len(folders))
     return rows
 
 
 def figures(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """Return the cells of a variant: right modes and tips with readings, right modes and twins without, seconds."""
-    cells = []
-    for readings in (True, False):
-        own = [row for row in rows if row["readings"] is readings]
-        right, twins = (sum(row.get(name, False) for row in own) for name in ("right", "twin"))
-        cells.append(f"{right} of {len(own)}" if readings else f"{right} and {twins} of {len(own)}")
-        if readings:
-            tips = [row.get("tip_mm", np.inf) for row in own]
-            cells.append(f"{np.median(tips):.2f} / {np.percentile(tips, 95):.2f}")
-    return [*cells, f"{np.mean([row['seconds'] for row in rows]):.2f}"]
+    """Return the cells of a variant: found modes with their interval, right ones, twins, tips, seconds."""
+    right, twins = (sum(row.get(name, False) for row in rows) for name in ("right", "twin"))
+    low, high = (round(100 * end) for end in wilson(right + twins, len(rows)))
+    tips = [row["tip_mm"] for row in rows if row.get("right")]
+    of_tips = f"{np.median(tips):.2f} / {np.percentile(tips, 95):.2f}" if tips else ""
+    seconds = np.mean([row["seconds"] for row in rows])
+    return [f"{right + twins} of {len(rows)}, {low} to {high} %", f"{right}", f"{twins}", of_tips, f"{seconds:.2f}"]
 
 
 def main() -> None:
@@ -96,6 +99,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="session folders with golden.json")
     parser.add_argument("--frames", type=int, default=10, metavar="N", help="of each, the first (default: %(default)s)")
+    parser.add_argument("--readings", action="store_true", help="with the readings (default: without any)")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="folder for results, which are reused")
     parser.add_argument("--out", type=Path, default=OUT / "ablation.md", metavar="FILE", help="default: %(default)s")
     options = parser.parse_args()
@@ -105,16 +109,24 @@ def main() -> None:
         if kept is not None and kept.exists():
             rows = json.loads(kept.read_text(encoding="utf-8"))
         else:
-            rows = solved(config, options.folders, options.frames, name)
+            rows = solved(config, options.folders, options.frames, name, readings=options.readings)
             if kept is not None:
                 kept.parent.mkdir(parents=True, exist_ok=True)
                 write_json(kept, rows)
         shown.append([name, *figures(rows)])
-    twins = "without readings: right mode and mirror twin"
-    head = ("variant", "right mode", "tips, median / 95 %, mm", twins, "s a frame")
+    head = (
+        "variant",
+        "found, 95 % interval",
+        "right",
+        "mirror twin",
+        "tips of the right, median / 95 %, mm",
+        "s a frame",
+    )
     ran = f"{datetime.date.today().isoformat()}, commit {commit()}, {machine_class()}, {options.frames} frames each of"
-    folders = ", ".join(folder.name for folder in options.folders)
-    write_text(options.out, f"# Ablation: searches, seeds, losses\n\n{ran} {folders}.\n\n{table(head, shown)}\n")
+    folders = ", ".join(folder.name for folder in options.folders) + (", with" if options.readings else ", without")
+    write_text(
+        options.out, f"# Ablation: searches, seeds, losses\n\n{ran} {folders} readings.\n\n{table(head, shown)}\n"
+    )
 
 
 if __name__ == "__main__":

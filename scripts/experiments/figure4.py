@@ -83,7 +83,7 @@ def best_of_first(
     )
     renderer = Renderer(plan.body, plan.camera, threads=config.threads)
     small = renderer.at(*search_size(evidence, config.search.width_px))
-    objective = Objective(small, evidence, readings, config.weights, decay=config.decay_px, field=config.distance_field)
+    objective = Objective(small, evidence, readings, config)
     weights = replace(config.weights, readings=0.0)
     best: dict[str, list[Float64]] = {space: [] for space in SPACES}
     for _ in range(draws):
@@ -95,7 +95,7 @@ def best_of_first(
                 else:
                     distances = rng.uniform(LIMITS.near, LIMITS.far, count)
                     poses = sample_lookat(distances, LIMITS, rng, camera=plan.camera)
-                joints = sample_joints(readings.values, readings.sigma, readings.low, readings.high, count, rng)
+                joints = sample_joints(readings, np.zeros(count, dtype=np.bool_), rng)
                 at = Posed(poses, joints)
             else:
                 search = replace(config.search, samples=count, use_edges=space == EDGES, unread_share=0.0)

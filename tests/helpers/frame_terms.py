@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from dvrk_cmaes import Body, Camera, Renderer
@@ -11,8 +13,9 @@ from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, assess, refine
 from dvrk_cmaes.pose.terms.coverage import Coverage
+from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
 from dvrk_cmaes.pose.terms.sized_view import SizedView
-from dvrk_cmaes.pose.terms.term import Term
+from dvrk_cmaes.pose.terms.term import Approximation, Term
 from dvrk_cmaes.pose.terms.tips_term import terms_of_frame
 from dvrk_cmaes.pose.views import FrameView
 
@@ -50,6 +53,18 @@ def view_at(
 def readings_of(body: Body, values: np.ndarray) -> Readings:
     low, high = body.instrument.limits.T.copy()
     return Readings(values, SPREAD, low, high)
+
+
+def cost_of(term: Term | OutlineTerm[Any], at: Posed) -> np.ndarray:
+    """Give the sum of squares (C,) of a term at C poses."""
+    if isinstance(term, Term):
+        return term.cost(at)
+    return np.array([term.cost_of(drawn) for drawn in term.draw(at, derivatives=None)])
+
+
+def local_of(term: Term | OutlineTerm[Any], at: Posed) -> Approximation:
+    """Give the approximation of half the sum of squares of a term near C poses."""
+    return term.local(at) if isinstance(term, Term) else term.near(term.draw(at), at)
 
 
 class Terms:

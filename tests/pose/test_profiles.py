@@ -28,7 +28,7 @@ def profiles(target: np.ndarray, cauchy: float = 0.5) -> Profiles:
     here, no_joints = np.eye(4)[None], np.zeros((1, 0, 1, 4, 4))
     (drawn,) = mesh.compare(camera, mask, here, here[None], no_joints, here[None], 1, [cauchy], 1, None)
     assert len(drawn.pixels) == rows
-    return Profiles([(drawn,)], [1.0], density(1.2), cauchy)
+    return Profiles([drawn], [1.0], density(1.2), cauchy)
 
 
 ONE = np.ones(1)

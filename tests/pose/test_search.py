@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dvrk_cmaes import InputError
-from dvrk_cmaes.pose.search import METHODS, Found, minimise_each
+from dvrk_cmaes.pose.search import METHODS, minimise_each
 
 GOAL = np.array([0.7, -0.4, 1.1])
 
@@ -19,9 +19,12 @@ def bowl(candidates: np.ndarray) -> np.ndarray:
     return ((candidates - GOAL) ** 2).sum(axis=1)
 
 
-def minimise(method: str, loss: Callable[[np.ndarray], np.ndarray], evaluations: int, seed: int) -> Found:
-    known = [float(loss(np.zeros((1, 3)))[0])]
-    return minimise_each(method, lambda _, candidates: loss(candidates), known, np.eye(3)[None], evaluations, seed)[0]
+def minimise(
+    method: str, loss: Callable[[np.ndarray], np.ndarray], evaluations: int, seed: int
+) -> tuple[np.ndarray, float]:
+    known, spread = loss(np.zeros((1, 3))), np.eye(3)[None]
+    best, losses = minimise_each(method, lambda _, candidates: loss(candidates), known, spread, evaluations, seed)
+    return best[0], float(losses[0])
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -33,16 +36,16 @@ def test_search_approaches_minimum_within_budget(method: str) -> None:
         counted += len(candidates)
         return bowl(candidates)
 
-    found = minimise(method, loss, 1500, seed=1)
-    assert found.loss == pytest.approx(float(bowl(found.best[None])[0]))
-    assert np.abs(found.best - GOAL).max() < 0.35
+    best, least = minimise(method, loss, 1500, seed=1)
+    assert least == pytest.approx(float(bowl(best[None])[0]))
+    assert np.abs(best - GOAL).max() < 0.35
     assert counted <= 1501
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_same_seed_gives_same_result(method: str) -> None:
     first, second = (minimise(method, bowl, 200, seed=5) for _ in range(2))
-    np.testing.assert_array_equal(first.best, second.best)
+    np.testing.assert_array_equal(first[0], second[0])
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -69,7 +72,7 @@ def test_cmaes_is_imported_at_the_first_search_without_scipy_stats() -> None:
     code = (
         "import sys; import numpy as np; from dvrk_cmaes.pose.search import minimise_each; "
         "before = 'cmaes' in sys.modules; "
-        "minimise_each('cmaes', lambda _, x: (x * x).sum(axis=1), [1.0], np.eye(3)[None], 40, seed=0); "
+        "minimise_each('cmaes', lambda _, x: (x * x).sum(axis=1), np.ones(1), np.eye(3)[None], 40, seed=0); "
         "print(before, 'cmaes' in sys.modules, 'scipy' in sys.modules); "
         "from scipy import stats; print(stats.norm)"
     )
@@ -78,19 +81,19 @@ def test_cmaes_is_imported_at_the_first_search_without_scipy_stats() -> None:
 
 
 def test_populations_of_all_starts_are_evaluated_together_and_the_best_starts_go_on() -> None:
-    shifts = np.array([[0.3, -0.2, 0.4], [0.0, 0.0, 0.0], [-9.0, 0.5, 0.2]])
+    near = np.array([[0.3, -0.2, 0.4], [0.0, 0.0, 0.0], [0.1, 0.2, 0.0], [0.5, 0.0, 0.9], [0.2, -0.3, 0.8]])
+    shifts = np.concatenate([near, [[-9.0, 0.5, 0.2]]])
     asked = []
 
     def of_starts(start: np.ndarray, candidates: np.ndarray) -> np.ndarray:
         asked.append(start)
         return bowl(shifts[start] + candidates)
 
-    found = minimise_each("cmaes", of_starts, bowl(shifts).tolist(), np.stack([np.eye(3)] * 3), 300, seed=4)
-    assert set(asked[0]) == {0, 1, 2}
-    assert 2 not in asked[-1]
-    assert sum(map(len, asked)) <= 300
-    assert [one.loss for one in found] == pytest.approx(
-        [bowl((s + f.best)[None])[0] for s, f in zip(shifts, found, strict=True)]
-    )
-    assert min(one.loss for one in found) < 0.02
-    assert minimise_each("cmaes", of_starts, [], np.empty((0, 3, 3)), 100, seed=4) == []
+    best, losses = minimise_each("cmaes", of_starts, bowl(shifts), np.stack([np.eye(3)] * 6), 600, seed=4)
+    assert set(asked[0]) == {*range(6)}
+    assert 5 not in asked[-1]
+    assert len({*asked[-1]}) == 4
+    assert sum(map(len, asked)) <= 600
+    np.testing.assert_allclose(losses, bowl(shifts + best))
+    assert losses.min() < 0.02
+    assert len(minimise_each("cmaes", of_starts, np.empty(0), np.empty((0, 3, 3)), 100, seed=4)[0]) == 0

@@ -111,7 +111,11 @@ def test_joint_samples_follow_readings_within_limits(bundled_body: Body) -> None
     instrument = bundled_body.instrument
     low, high = instrument.limits.T
     readings, spread = np.array([0.2, np.nan, high[2] - 0.01]), np.array([0.1, 0.1, 0.2])
-    joints = sample_joints(readings, spread, low, high, 4000, np.random.default_rng(5))
+    unread = np.arange(6000) >= 4000
+    joints, free = np.split(
+        sample_joints(Readings(readings, spread, low, high), unread, np.random.default_rng(5)), [4000]
+    )
+    assert np.ptp(free, axis=0) == pytest.approx(high - low, rel=0.02)
     assert joints.shape == (4000, 3)
     assert (joints >= low).all()
     assert (joints <= high).all()
@@ -130,7 +134,8 @@ def test_samples_depend_on_seed(name: str) -> None:
             return lookat(8, seed, pixels=np.array([[1.0, 2.0], [300, 200]]))
         if name == "axis":
             return on_axis(8, tilt=0.1, seed=seed)
-        return sample_joints(np.array([0.1, np.nan, 0.2]), np.full(3, 0.1), np.full(3, -1.0), np.ones(3), 8, rng)
+        readings = Readings(np.array([0.1, np.nan, 0.2]), np.full(3, 0.1), np.full(3, -1.0), np.ones(3))
+        return sample_joints(readings, np.zeros(8, dtype=np.bool_), rng)
 
     np.testing.assert_array_equal(draw(1), draw(1))
     assert not np.array_equal(draw(1), draw(2))

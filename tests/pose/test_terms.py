@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from helpers.frame_terms import readings_of, view_at
+from helpers.frame_terms import cost_of, local_of, readings_of, view_at
 from helpers.transforms import exp_rotation, lookat_pose, transform
 
 from dvrk_cmaes import Body, Camera
@@ -75,9 +75,9 @@ CASES = {
 def test_local_is_the_derivative_of_cost(bundled_body: Body, name: str) -> None:
     case = CASES[name]
     term, at = case.make(bundled_body), TRUE.moved(OFF)
-    information, slope = (part[0] for part in term.local(at[None]).normal_equations(np.zeros((1, 9))))
+    information, slope = (part[0] for part in local_of(term, at[None]).normal_equations(np.zeros((1, 9))))
     changes = np.diag(STEPS)
-    ahead, behind = (term.cost(Posed.stacked([at.moved(sign * change) for change in changes])) for sign in (1, -1))
+    ahead, behind = (cost_of(term, Posed.stacked([at.moved(sign * change) for change in changes])) for sign in (1, -1))
     # of half the sum of squares, in units in which the unknowns count alike
     gradient = (ahead - behind) / (4 * STEPS) * SPREAD
     np.testing.assert_allclose(slope * SPREAD, gradient, atol=case.tolerance * np.abs(gradient).max())
@@ -89,8 +89,8 @@ def test_local_is_the_derivative_of_cost(bundled_body: Body, name: str) -> None:
 def test_information_tells_how_fast_the_slope_changes(bundled_body: Body, name: str) -> None:
     term = CASES[name].make(bundled_body)
     change = OFF / 20
-    slopes = [term.local(at[None]).normal_equations(np.zeros((1, 9)))[1][0] for at in (TRUE, TRUE.moved(change))]
-    information = term.local(TRUE[None]).normal_equations(np.zeros((1, 9)))[0][0]
+    slopes = [local_of(term, at[None]).normal_equations(np.zeros((1, 9)))[1][0] for at in (TRUE, TRUE.moved(change))]
+    information = local_of(term, TRUE[None]).normal_equations(np.zeros((1, 9)))[0][0]
     expected_change = information @ change * SPREAD
     np.testing.assert_allclose(
         (slopes[1] - slopes[0]) * SPREAD, expected_change, atol=0.25 * np.abs(expected_change).max() + 1e-9
@@ -123,5 +123,5 @@ def test_terms_of_several_poses_are_those_of_each(bundled_body: Body) -> None:
     poses = Posed.stacked([TRUE, TRUE.moved(OFF), TRUE.moved(-OFF)])
     for name, case in CASES.items():
         term = case.make(bundled_body)
-        alone = np.concatenate([term.cost(poses[k][None]) for k in range(3)])
-        np.testing.assert_allclose(term.cost(poses), alone, rtol=1e-4, err_msg=name)
+        alone = np.concatenate([cost_of(term, poses[k][None]) for k in range(3)])
+        np.testing.assert_allclose(cost_of(term, poses), alone, rtol=1e-4, err_msg=name)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.frame_terms import Terms, readings_of, view_at
+from helpers.frame_terms import Terms, cost_of, readings_of, view_at
 from helpers.transforms import exp_rotation, lookat_pose, moved, rotation_angle, transform
 
 from dvrk_cmaes import Body, Camera
@@ -51,9 +51,9 @@ def test_views_count_by_their_independent_measurements(bundled_body: Body) -> No
     views = [SizedView(view, blur=1.2) for view in views_of(bundled_body)]
     off = TRUE.moved(np.array([2e-4, 0, 0, 0, 0.01, 0, 0, 0, 0]))[None]
     config = terms(bundled_body, views_of(bundled_body)).config
-    alone = [Coverage([view], config, noise=1.0).cost(off)[0] for view in views]
+    alone = [cost_of(Coverage([view], config, noise=1.0), off)[0] for view in views]
     both = Coverage(views, config, correlations=[8.0, 16.0], noise=1.0)
-    assert both.cost(off)[0] == pytest.approx(alone[0] + alone[1] / 2)
+    assert cost_of(both, off)[0] == pytest.approx(alone[0] + alone[1] / 2)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

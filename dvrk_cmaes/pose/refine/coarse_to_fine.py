@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
 
 import numpy as np
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, assess, refine
 from dvrk_cmaes.pose.refine.information import information_of_views
@@ -19,18 +17,16 @@ from dvrk_cmaes.pose.refine.selection import ALL, Selection
 from dvrk_cmaes.pose.search.modes import PoseCandidate, best_per_mode, twin_of
 from dvrk_cmaes.pose.terms.contour import CorrelatedContour, has_correlated_noise
 from dvrk_cmaes.pose.terms.coverage import Coverage
-from dvrk_cmaes.pose.terms.outline_term import Derivatives
 from dvrk_cmaes.pose.terms.sized_view import SizedView
-from dvrk_cmaes.pose.terms.term import Term
 from dvrk_cmaes.pose.terms.tips_term import terms_of_frame
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import Body, Renderer
 
 _LEAST_AREA = 800.0  # px of a mask in the small images
 _FULL_STEPS = 6  # largest number of iterations at full size before the noise is estimated
-_AT_FULL = 3  # best modes that are refined at full size, mirror twins not counted
-_SMALL, _FULL = Selection(share=0.85, gap=150.0, least=3), Selection(share=0.93, gap=30.0)
-"""Which modes go on after each iteration at the small size, where they have yet to converge, and at full size."""
+_AT_SMALL, _AT_FULL = 8, 3  # best modes that are refined at the small and at full size, mirror twins not counted
+_FULL = Selection(share=0.93, gap=30.0)
+"""Which modes go on after each iteration at full size; at the small size, all do until they have converged."""
 _CLEARLY_WORSE = 15.0  # difference of the negative log-likelihood
 _AS_GOOD = 3.0  # difference of the negative log-likelihood
 _FARTHEST = 1.0  # m, of an instrument that an endoscope sees; a refinement that leads beyond has diverged
@@ -47,38 +43,23 @@ def _not_diverged(fits: list[Fit]) -> list[Fit]:
 class LocalSearch:
     """Refines modes of one frame on all of its views, of which the first is the main one.
 
-    It counts the silhouettes drawn and the rays traced. ``decimated`` is the instrument with fewer faces, for small
-    images.
+    ``decimated`` is the instrument with fewer faces, for small images.
     """
 
     def __init__(self, views: Sequence[FrameView], decimated: Body, readings: Readings, config: EstimateConfig) -> None:
         self._views = tuple(views)
         self._decimated = decimated
-        self._readings = readings
         self._config = config
-        self._sized: list[SizedView] = []
+        self._terms = terms_of_frame(views, readings, config.refine.outline)
+        self.renderers: list[Renderer] = []
+        """What has drawn the views so far, without their own renderers."""
 
     @property
-    def silhouettes(self) -> int:
-        """Number of silhouettes drawn so far, without those by the views' own renderers."""
-        return sum(view.silhouettes for view in self._sized)
-
-    @property
-    def rays(self) -> int:
-        """Number of rays traced so far, without those by the views' own renderers."""
-        return sum(view.rays for view in self._sized)
-
-    @property
-    def _instrument(self) -> Instrument:
-        return self._decimated.instrument
-
-    @cached_property
     def _small(self) -> int:
         """The divisor of the small size, at which the mask is still large enough to tell modes."""
         mask = self._views[0].evidence.mask
         legible = int(np.sqrt(np.count_nonzero(mask) / _LEAST_AREA))
-        usual: int = round(mask.shape[1] / self._config.refine.width_px)
-        return max(1, min(usual, legible))
+        return max(1, min(int(mask.shape[1] / self._config.refine.width_px + 0.5), legible))
 
     def _coverage(self, shrink: int) -> Coverage:
         """Return the coverage of all views at 1 / ``shrink`` of the main one's size."""
@@ -87,65 +68,52 @@ class LocalSearch:
             outline = replace(outline, cauchy=outline.small_cauchy, lines_per_pixel=1)
         sized = []
         for view in self._views:
-            evidence, own, small = view.evidence, 1, None
+            camera, own, small = view.evidence.camera, 1, None
             if shrink > 1:
-                own = max(1, round(shrink * evidence.camera.width / width))
-                small = Renderer(self._decimated, evidence.camera, threads=self._config.threads)
+                own = max(1, round(shrink * camera.width / width))
+                small = Renderer(self._decimated, camera, threads=self._config.threads)
             sized.append(SizedView(view, blur=outline.blur, shrink=own, renderer=small))
-        self._sized += sized
+        self.renderers += [view.renderer for view in sized]
         return Coverage(sized, outline)
 
-    @cached_property
-    def _terms(self) -> list[Term]:
-        """The terms beside the coverage."""
-        return terms_of_frame(self._views, self._readings, self._config.refine.outline)
-
     def _refine(
-        self,
-        coverage: Coverage,
-        modes: Sequence[PoseCandidate],
-        *,
-        iterations: int | None = None,
-        selection: Selection = ALL,
-        continued: bool = False,
+        self, coverage: Coverage, modes: Sequence[PoseCandidate], selection: Selection, iterations: int | None = None
     ) -> list[Fit]:
-        """Refine candidates or modes on the coverage and all other terms; those that diverge are left out."""
+        """Refine candidates or modes on the coverage and all other terms; those that diverge are left out.
+
+        ``iterations``, if given, are their largest number, after which another refinement continues.
+        """
         shrink = coverage.views[0].shrink
-        steps = Steps.of(self._config.refine.outline, shrink, iterations=iterations, continued=continued)
-        derivatives: Derivatives = "differences" if self._config.refine.derivatives == "differences" else "closed-form"
+        steps = Steps.of(self._config.refine.outline, shrink, iterations)
+        by_differences = self._config.refine.derivatives == "differences"
         at = Posed.stacked([mode.at for mode in modes])
-        fits = refine(coverage, self._terms, at, steps, selection, derivatives)
+        fits = refine(coverage, self._terms, at, steps, selection, "differences" if by_differences else "closed-form")
         return _not_diverged(fits)
 
-    def _assess(self, coverage: Coverage, modes: Sequence[PoseCandidate]) -> list[Fit]:
-        """Score modes without refining them."""
-        return assess(coverage, self._terms, Posed.stacked([mode.at for mode in modes])) if modes else []
-
-    def _twin(self, mode: PoseCandidate) -> PoseCandidate:
-        return PoseCandidate(twin_of(self._instrument, mode.at), mode.score)
-
     def refine(self, candidates: Sequence[PoseCandidate]) -> tuple[list[Fit], list[Rotation]]:
-        """Refine what a search found in small images, and the best of it at full size; returns the modes, best first.
+        """Refine the best of what a search found in small images, and the best of it at full size; best modes first.
 
         They include the mirror twins of all of them if the instrument has such. Also returns the rotation by which each
         view but the first would turn at the best mode, as `rotations_of_views`.
         """
-        modes: Sequence[PoseCandidate] = best_per_mode(candidates, mirrored=self._instrument)
-        if self._small > 1:
-            refined = self._refine(self._coverage(self._small), modes, selection=_SMALL)
-            found = best_per_mode(refined, most=_AT_FULL, mirrored=self._instrument)
+        instrument, small = self._decimated.instrument, self._small
+        modes: Sequence[PoseCandidate] = best_per_mode(candidates, most=_AT_SMALL, mirrored=instrument)
+        if small > 1:
+            refined = self._refine(self._coverage(small), modes, ALL)
+            found = best_per_mode(refined, most=_AT_FULL, mirrored=instrument)
             scores, of_outline = zip(*((fit.score, fit.outline_score) for fit in found), strict=True)
             modes = [found[i] for i in _FULL.continuing(scores, of_outline, len(found))]
         finest = self._coverage(1)
-        final = self._refine(finest, modes, iterations=_FULL_STEPS, selection=_FULL, continued=True)
-        if self._instrument.has_twin:
+        final = self._refine(finest, modes, _FULL, _FULL_STEPS)
+        if instrument.has_twin:
             # A twin's outline is as good as that of the mode: these iterations would hardly move it.
-            final += self._assess(finest, [self._twin(mode) for mode in final])
+            twins = twin_of(instrument, Posed.stacked([mode.at for mode in final]))
+            final += assess(finest, self._terms, twins)
         return self._finish(finest, final)
 
     def _finish(self, finest: Coverage, modes: list[Fit]) -> tuple[list[Fit], list[Rotation]]:
         """Estimate the noise of the outline from the best mode, and refine the modes with the resulting weights."""
-        best = min(modes, key=lambda m: m.score)
+        best = min(modes, key=lambda mode: mode.score)
         noises = [view.noise_at(best.at) for view in self._views]
         coverage = finest.changed(correlations=[noise.length for noise in noises])
         # Modes that are clearly worse, by score and by outline score, are not refined again, only scored.
@@ -154,9 +122,10 @@ class LocalSearch:
             for mode in modes
             if mode.score < best.score + _CLEARLY_WORSE or mode.outline_score < best.outline_score + _CLEARLY_WORSE / 3
         ]
-        rest = self._assess(coverage, [mode for mode in modes if mode not in close])
+        far = [mode.at for mode in modes if mode not in close]
+        rest = assess(coverage, self._terms, Posed.stacked(far)) if far else []
         narrow = coverage.changed(cauchy=self._config.refine.outline.last_cauchy)
-        modes = best_per_mode([*self._refine(narrow, close, selection=_FULL), *rest])
+        modes = best_per_mode([*self._refine(narrow, close, _FULL), *rest])
         first, *others = _not_diverged(modes)
         if all(has_correlated_noise(noise) for noise in noises):
             first = self._with_correlated_noise(coverage, first)

@@ -8,7 +8,7 @@ is iteratively reweighted least squares, whose short steps would otherwise each 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -66,13 +66,13 @@ class Steps:
     continued: bool = False
 
     @staticmethod
-    def of(config: OutlineConfig, shrink: int, iterations: int | None = None, *, continued: bool = False) -> Steps:
+    def of(config: OutlineConfig, shrink: int, iterations: int | None = None) -> Steps:
         """Return the steps on the coverage at 1 / ``shrink`` of the image size, where modes only need to be told apart.
 
-        ``iterations`` replaces the largest number of these. A step within the tolerance, with which a refinement ends,
-        is taken without drawing it.
+        ``iterations`` replaces the largest number of these, and another refinement continues then. A step within the
+        tolerance, with which a refinement ends, is taken without drawing it.
         """
-        most = config.iterations if iterations is None else iterations
+        most, continued = config.iterations if iterations is None else iterations, iterations is not None
         if shrink == 1:
             return Steps(most, config.inner_steps, config.tolerance, "long", continued=continued)
         tolerance = (_AT_HALF_SIZE if shrink == 2 else _AT_SMALLER_SIZE) * config.tolerance
@@ -105,8 +105,7 @@ class _States:
     @staticmethod
     def put(at: Posed, index: Indices, those: Posed) -> None:
         """Replace some of several poses."""
-        for each in fields(at):
-            getattr(at, each.name)[index] = getattr(those, each.name)
+        at.pose[index], at.joints[index] = those.pose, those.joints
 
 
 def refine(
@@ -142,8 +141,7 @@ class _Refinement:
     def run(self, starts: Posed, selection: Selection) -> list[Fit]:
         """Refine C starts."""
         drawn, count = self.outline.draw(starts, derivatives=self.derivatives), len(starts)
-        dimension = self.outline.near(drawn[:1], starts[:1]).dimension
-        nothing = Quadratic.zero(count, dimension)
+        nothing = Quadratic.zero(count, 6 + starts.joints.shape[1])
         every = np.arange(count)
         states = _States(starts[every], drawn, sum_of_costs(self.terms, starts), nothing.information.copy(), nothing)
         states.outline[:] = [self.outline.score_of(one) for one in drawn]
@@ -178,19 +176,15 @@ class _Refinement:
         if len(stale):
             drawn = self.outline.draw(states.at[stale], derivatives=self.derivatives)
             self._draw(states, stale, states.at[stale], drawn)
-        near, others = self._near(states, index), sum_of_locals(self.terms, states.at[index])
-        others = others.padded(near.dimension)
-        information, _ = near.normal_equations(np.zeros((len(index), near.dimension)))
+        near = self.outline.near([states.drawn[k] for k in index], states.at[index])
+        others = sum_of_locals(self.terms, states.at[index])
+        information, _ = near.normal_equations(np.zeros_like(others.slope))
         states.weight[index] = [self.outline.weight_of(states.drawn[k]) for k in index]
         states.quadratic.information[index], states.quadratic.slope[index] = others.information, others.slope
         states.information[index] = states.weight[index, None, None] * information + others.information
         states.moved[index] = False
         if self.steps.tested == "none":  # where the outline tells nothing, nothing holds back a step
             states.finished[index] |= ~information.any(axis=(1, 2))
-
-    def _near(self, states: _States, index: Indices) -> Approximation:
-        """Return the approximation of the outline's term near some states."""
-        return self.outline.near([states.drawn[k] for k in index], states.at[index])
 
     def _advance(self, states: _States, index: Indices, *, last: bool) -> None:
         """Take one step from some states; one that is tested is kept if it lowers the sum of squares.
@@ -238,9 +232,10 @@ class _Refinement:
 
     def _changes(self, states: _States, index: Indices) -> Float64:
         """Return the changes (C, D) of C states that minimise the approximations of their terms."""
+        near = self.outline.near([states.drawn[k] for k in index], states.at[index])
         others = states.quadratic.select(index)
         damping = None if self.steps.tested == "none" else states.damping[index]
-        changes = minimise(self._near(states, index), states.weight[index], others, damping, self.steps.inner)
+        changes = minimise(near, states.weight[index], others, damping, self.steps.inner)
         if self.steps.largest < np.inf:
             sizes = np.sqrt(np.einsum("ci,cij,cj->c", changes, states.information[index], changes))
             changes = changes * np.minimum(1.0, self.steps.largest / np.maximum(sizes, 1e-12))[:, None]

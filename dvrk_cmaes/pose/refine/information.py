@@ -16,7 +16,7 @@ import numpy as np
 from dvrk_cmaes.evidence.outline_noise import CLIP, OutlineNoise, distances_to, sampled
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.pose.terms.contour import is_rough
-from dvrk_cmaes.pose.terms.shared_errors import without_last
+from dvrk_cmaes.pose.terms.shared_errors import shared_errors, without_last
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_locals
 from dvrk_cmaes.silhouette import OutlinePoints
@@ -41,14 +41,10 @@ def information_of_views(views: Sequence[SizedView], terms: Sequence[Term], at: 
         of_view = outline_information(view, at, view.view.noise_at(at))
         if k == 0:
             of_view = of_view + sum_of_locals(terms, Posed.stacked([at])).information[0]
-            of_view = of_view + np.diag(_bounds(len(of_view)))
+            largest = np.array([_POSITION_SIGMA] * 3 + [_ANGLE_SIGMA] * (len(of_view) - 3))
+            of_view = of_view + np.diag(1 / largest**2)
         information.append(of_view)
     return information
-
-
-def _bounds(count: int) -> Float64:
-    """Return the information of the largest standard deviations of ``count`` parameters, (count,)."""
-    return np.array([1 / _POSITION_SIGMA**2] * 3 + [1 / _ANGLE_SIGMA**2] * (count - 3))
 
 
 def outline_information(view: SizedView, at: Posed, noise: OutlineNoise) -> Float64:
@@ -62,13 +58,14 @@ def outline_information(view: SizedView, at: Posed, noise: OutlineNoise) -> Floa
     off = distances_to(view.mask, outline.pixels)
     weight = sampled(view.weight, outline.pixels)
     length = np.linalg.norm(outline.normals, axis=1)
-    errors = view.shared_errors(outline, at, noise)
-    jacobian = np.column_stack([of_pose, errors.columns * length[:, None]])
+    seen = at.seen_from(view.view.view_from_camera)
+    columns, deviations = shared_errors(outline, view.renderer.body.instrument, view.camera, seen, noise)
+    jacobian = np.column_stack([of_pose, columns * length[:, None]])
     counts = weight * (np.abs(off) < CLIP * max(noise.sigma, 0.5))
     variance = _link_variances(outline, off, length * weight, noise.sigma)[outline.link]
     weighted = jacobian * (counts / (length * variance * _length_of_measurement(noise)))[:, None]
     both = Quadratic((jacobian.T @ weighted)[None], np.zeros((1, jacobian.shape[1])))
-    return np.asarray(without_last(both, errors.information).information[0])
+    return np.asarray(without_last(both, np.diag(1 / deviations**2)).information[0])
 
 
 def _length_of_measurement(noise: OutlineNoise) -> float:

@@ -19,7 +19,7 @@ from dvrk_cmaes.silhouette.moving_points import moving_points
 _POSE_SCALE = np.array([1e-3, 1e-3, 3e-3, np.deg2rad(4), np.deg2rad(4), np.deg2rad(15)])
 """Expected errors of a start: along the root's x, y and z axes, m, and about them, rad."""
 _LEAST_AREA = 150.0  # px of a mask in the search's image
-_SPREAD_PX, _SPREAD = 1.0, 3.0  # of the first population: px of the search's image, and expected errors at most
+_SPREAD_PX, _SPREAD = 1.5, 3.0  # of the first population: px of the search's image, and expected errors at most
 _DISTINCT = float(np.deg2rad(20)), float(np.deg2rad(17))  # rotation, or a joint, by which starts differ
 _JOINT_SCALE = 0.5  # expected error of a start's joints, in standard deviations of the readings
 
@@ -54,7 +54,7 @@ def find_candidates(
     """
     search, instrument = config.search, renderer.body.instrument
     sized = renderer.at(*search_size(evidence, search.width_px))
-    objective = Objective(sized, evidence, readings, config.weights, decay=config.decay_px, field=config.distance_field)
+    objective = Objective(sized, evidence, readings, config)
     drawn, unread = draw_starts(evidence, instrument, readings, config, np.random.default_rng(config.seed))
     if instrument.has_twin:
         drawn = _towards_readings(instrument, readings, drawn)
@@ -71,9 +71,9 @@ def find_candidates(
         return objective.cost(begin[index].moved(change * scale))
 
     spreads = _spreads(sized, begin, scale)
-    least = minimise_each(search.method, loss, losses[starts].tolist(), spreads, search.evaluations, config.seed)
-    found = [PoseCandidate(begin[k].moved(each.best * scale), each.loss) for k, each in enumerate(least)]
-    return sorted(found, key=lambda candidate: candidate.score), sized
+    best, least = minimise_each(search.method, loss, losses[starts], spreads, search.evaluations, config.seed)
+    found = begin.moved(best * scale)
+    return [PoseCandidate(found[k], float(least[k])) for k in np.argsort(least, kind="stable")], sized
 
 
 def _spreads(renderer: Renderer, at: Posed, scale: Float64) -> Float64:

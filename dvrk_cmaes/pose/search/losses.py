@@ -72,11 +72,17 @@ def _facing(first: tuple[Float64, Float64], second: tuple[Float64, Float64]) -> 
     return np.where(flipped, second[0] + np.pi, second[0]), np.where(flipped, -second[1], second[1])
 
 
-def _mean_line(first: tuple[Float64, Float64], second: tuple[Float64, Float64]) -> tuple[Float64, Float64]:
-    """Compute the mean of two lines in polar form, after making the angle between their normals at most 90 degrees."""
-    theta, rho = _facing(first, second)
-    x, y = np.cos(first[0]) + np.cos(theta), np.sin(first[0]) + np.sin(theta)
-    return np.arctan2(y, x), (first[1] + rho) / 2
+def _mean_line(theta: Float64, rho: Float64) -> tuple[Float64, Float64]:
+    """Compute the mean of two lines in polar form, (..., 2) each, after making their normals differ least."""
+    first = theta[..., 0], rho[..., 0]
+    other, offset = _facing(first, (theta[..., 1], rho[..., 1]))
+    x, y = np.cos(first[0]) + np.cos(other), np.sin(first[0]) + np.sin(other)
+    return np.arctan2(y, x), (first[1] + offset) / 2
+
+
+def _better_pairing(gap: Float64) -> Float64:
+    """Return the smaller sum of distances (...) of two things from two others, given each one's, (..., 2, 2)."""
+    return np.minimum(gap[..., 0, 0] + gap[..., 1, 1], gap[..., 0, 1] + gap[..., 1, 0])
 
 
 def cylinder_loss(projected: Float64, reference: Float64, camera: Camera, offset_weight: float) -> Float64:
@@ -87,12 +93,10 @@ def cylinder_loss(projected: Float64, reference: Float64, camera: Camera, offset
     """
     theta, rho = polar_lines(projected, camera)
     ref_theta, ref_rho = polar_lines(reference, camera)
-    p = [(theta[..., i], rho[..., i]) for i in range(2)]
-    r = [(ref_theta[..., i], ref_rho[..., i]) for i in range(2)]
-    straight = line_distance(p[0], r[0], offset_weight) + line_distance(p[1], r[1], offset_weight)
-    crossed = line_distance(p[0], r[1], offset_weight) + line_distance(p[1], r[0], offset_weight)
-    mean = line_distance(_mean_line(*p), _mean_line(*r), offset_weight)
-    return np.asarray(np.nan_to_num(np.minimum(straight, crossed) + mean, nan=10.0))
+    one, other = (theta[..., :, None], rho[..., :, None]), (ref_theta[..., None, :], ref_rho[..., None, :])
+    edges = _better_pairing(line_distance(one, other, offset_weight))
+    mean = line_distance(_mean_line(theta, rho), _mean_line(ref_theta, ref_rho), offset_weight)
+    return np.asarray(np.nan_to_num(edges + mean, nan=10.0))
 
 
 def keypoint_loss(projected: Float64, reference: Float64) -> Float64:
@@ -101,6 +105,5 @@ def keypoint_loss(projected: Float64, reference: Float64) -> Float64:
     ``projected`` (..., 2, 2) and ``reference`` (2, 2) are pixels.
     """
     gap = np.linalg.norm(projected[..., :, None, :] - reference[None, :, :], axis=-1)
-    pairings = np.minimum(gap[..., 0, 0] + gap[..., 1, 1], gap[..., 0, 1] + gap[..., 1, 0])
     means = np.linalg.norm(projected.mean(axis=-2) - reference.mean(axis=-2), axis=-1)
-    return np.asarray(pairings + means)
+    return np.asarray(_better_pairing(gap) + means)

@@ -10,8 +10,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import threading
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,6 @@ from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.geometry import Float64, Indices
 
 NLOPT = {
-    "crs2": "GN_CRS2_LM",
     "esch": "GN_ESCH",
     "isres": "GN_ISRES",
     "direct-l": "GN_DIRECT_L",
@@ -37,58 +35,51 @@ SEEDS = 2**32
 """Number of different seeds."""
 BOX = 3.0
 """Half the side of the box of NLopt's methods, in units of the expected error of a start."""
-_STEP, _LARGE = (
-    0.5,
-    1e12,
-)  # of NLopt's methods: first step, in the same units, and loss in place of one that is not finite
+_STEP = 0.5  # first step of NLopt's methods, in the same units
+_LARGE = 1e12  # loss in place of one that is not finite
 _POPULATION = 10  # candidates of CMA-ES in a generation of a start
-_CONTINUING = 0.85  # share of the starts, the best ones, that have another generation
+_CONTINUING, _LEAST = (
+    0.85,
+    4,
+)  # share of the starts, the best ones, that have another generation, and their least number
 _RUN = 20  # evaluations for each parameter of a run by NLopt, of which there are as many as the budget allows
 
 _importing = threading.Lock()
 _STATISTICS = "scipy.stats"
 
 
-@dataclass(frozen=True, eq=False)
-class Found:
-    """Best candidate (D,) that was found from a start, and its loss."""
-
-    best: Float64
-    loss: float
-
-
 def minimise_each(
-    method: str, loss: LossOfStarts, known: Sequence[float], covariances: Float64, evaluations: int, seed: int
-) -> list[Found]:
+    method: str, loss: LossOfStarts, known: Float64, covariances: Float64, evaluations: int, seed: int
+) -> tuple[Float64, Float64]:
     """Minimise a loss from each of S starts 0, the best first, whose losses are known.
 
-    Parameters are in units of their expected error; ``covariances`` (S, D, D) are those of the first candidates of
-    CMA-ES. At most ``evaluations`` candidates are evaluated in all; the seed of a start is ``seed`` plus its index,
-    modulo `SEEDS`. Raises `InputError` for an unknown method.
+    Returns the best candidates (S, D) that were found from the starts, and their losses (S,). Parameters are in units
+    of their expected error; ``covariances`` (S, D, D) are those of the first candidates of CMA-ES. At most
+    ``evaluations`` candidates are evaluated in all; the seed of a start is ``seed`` plus its index, modulo `SEEDS`.
+    Raises `InputError` for an unknown method.
     """
     dimension = covariances.shape[-1]
     if method == "cmaes":
         return _cmaes(loss, known, covariances, evaluations, seed)
     if method not in NLOPT:
         raise InputError(f"search: expected one of {', '.join(nearest_first(method, METHODS))}, got {method!r}")
-    found = [Found(np.zeros(dimension), value) for value in known]
+    best, losses = np.zeros((len(known), dimension)), known.copy()
     runs = min(max(evaluations // (_RUN * dimension), 1), len(known))
     for start in range(runs):
 
         def of_start(candidates: Float64, start: int = start) -> Float64:
             return loss(np.full(len(candidates), start), candidates)
 
-        best = _nlopt(NLOPT[method], of_start, dimension, evaluations // runs, seed + start)
-        if best.loss < known[start]:
-            found[start] = best
-    return found
+        found, value = _nlopt(NLOPT[method], of_start, dimension, evaluations // runs, seed + start)
+        if value < losses[start]:
+            best[start], losses[start] = found, value
+    return best, losses
 
 
-def _nlopt(algorithm: str, loss: Callable[[Float64], Float64], dimension: int, evaluations: int, seed: int) -> Found:
-    """Minimise a loss of candidates (1, D) from 0 in the box, with a fixed number of evaluations.
-
-    An exception in the loss ends the run and is raised unchanged; NLopt would replace some exceptions by others.
-    """
+def _nlopt(
+    algorithm: str, loss: Callable[[Float64], Float64], dimension: int, evaluations: int, seed: int
+) -> tuple[Float64, float]:
+    """Minimise a loss of candidates (1, D) from 0 in the box; returns the best candidate (D,) and its loss."""
     import nlopt
 
     nlopt.srand(seed + 1)  # per thread; a seed of 0 would use the current time
@@ -97,37 +88,24 @@ def _nlopt(algorithm: str, loss: Callable[[Float64], Float64], dimension: int, e
     optimiser.set_upper_bounds([BOX] * dimension)
     optimiser.set_maxeval(evaluations)
     optimiser.set_initial_step(_STEP)
-    best, count = Found(np.zeros(dimension), np.inf), 0
-    caught: list[BaseException] = []
+    best, least = np.zeros(dimension), np.inf
 
     def evaluate(x: Float64, _gradient: Float64) -> float:
-        nonlocal best, count
-        if caught or count >= evaluations:  # some algorithms check their limit only between iterations
-            optimiser.force_stop()
-            return _LARGE
-        point = np.array(x, dtype=np.float64)  # copied, because NLopt reuses the memory of x
-        try:
-            value = float(loss(point[None])[0])
-        except BaseException as error:
-            caught.append(error)
-            optimiser.force_stop()
-            return _LARGE
-        count += 1
-        if value < best.loss:
-            best = Found(point, value)
+        nonlocal best, least
+        value = float(loss(x[None])[0])
+        if value < least:
+            best, least = np.array(x, dtype=np.float64), value  # copied, because NLopt reuses the memory of x
         return value if np.isfinite(value) else _LARGE
 
     optimiser.set_min_objective(evaluate)
-    with contextlib.suppress(nlopt.RoundoffLimited, nlopt.ForcedStop):  # the best point is recorded in evaluate
+    with contextlib.suppress(nlopt.RoundoffLimited):  # the best point is recorded in evaluate
         optimiser.optimize([0.0] * dimension)
-    if caught:
-        raise caught[0]
-    return best
+    return best, least
 
 
 def _cmaes(
-    loss: LossOfStarts, known: Sequence[float], covariances: Float64, evaluations: int, seed: int
-) -> list[Found]:
+    loss: LossOfStarts, known: Float64, covariances: Float64, evaluations: int, seed: int
+) -> tuple[Float64, Float64]:
     """Search by CMA-ES from all starts."""
     cma, dimension = _cma_class(), covariances.shape[-1]
     optimisers = [
@@ -140,7 +118,7 @@ def _cmaes(
         )
         for k, covariance in enumerate(covariances)
     ]
-    best, losses, left = np.zeros((len(known), dimension)), np.array(known), evaluations
+    best, losses, left = np.zeros((len(known), dimension)), known.copy(), evaluations
     active = np.arange(len(known))
     while len(active) and (left := left - _POPULATION * len(active)) >= 0:
         drawn = np.array([[optimisers[k].ask() for _ in range(_POPULATION)] for k in active])
@@ -148,13 +126,13 @@ def _cmaes(
         lowest = drawn[np.arange(len(active)), values.argmin(axis=1)], values.min(axis=1)
         better = lowest[1] < losses[active]
         best[active[better]], losses[active[better]] = lowest[0][better], lowest[1][better]
-        continuing = np.sort(np.argsort(losses[active], kind="stable")[: max(int(_CONTINUING * len(active)), 1)])
+        continuing = np.sort(np.argsort(losses[active], kind="stable")[: max(int(_CONTINUING * len(active)), _LEAST)])
         if left < _POPULATION * len(continuing):
             break
         for k, candidates, of_candidates in zip(active[continuing], drawn[continuing], values[continuing], strict=True):
             optimisers[k].tell(list(zip(candidates, of_candidates.tolist(), strict=True)))
         active = np.array([k for k in active[continuing] if not optimisers[k].should_stop()], dtype=np.intp)
-    return [Found(*pair) for pair in zip(best, losses.tolist(), strict=True)]
+    return best, losses
 
 
 def _cma_class() -> Any:

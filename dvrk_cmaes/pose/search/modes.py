@@ -51,8 +51,6 @@ def is_twin(instrument: Instrument, a: Posed, b: Posed) -> bool:
 def best_per_mode(candidates: Sequence[C], *, most: int | None = None, mirrored: Instrument | None = None) -> list[C]:
     """Select the best candidate of each mode, sorted by score, at most ``most``; modes are as in `first_of_modes`."""
     ordered = sorted(candidates, key=lambda candidate: candidate.score)
-    if not ordered:
-        return ordered
     at = Posed.stacked([candidate.at for candidate in ordered])
     return [ordered[k] for k in first_of_modes(at, most=most, mirrored=mirrored)]
 
@@ -76,8 +74,7 @@ def first_of_modes(
     while len(left) and len(kept) != most:
         kept.append(int(left[0]))
         for one, turned in zip(each, rotations, strict=True):
-            far = rotations[0][left] @ turned[kept[-1]] < 1 + 2 * np.cos(
-                angle
-            )  # the trace of the rotation between both
+            traces = rotations[0][left] @ turned[kept[-1]]  # of the rotations between both
+            far = traces < 1 + 2 * np.cos(angle)
             left = left[far | (np.abs(at.joints[left] - one.joints[kept[-1]]) > joint).any(axis=1)]
     return kept

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.config import LossWeights
+from dvrk_cmaes.config import EstimateConfig, LossWeights
 from dvrk_cmaes.evidence.distance_field import distance_field
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.geometry import Float64, Posed, apply, project_cylinder
@@ -18,28 +18,15 @@ from dvrk_cmaes.silhouette import PixelSums, Renderer
 class Objective:
     """Weighted sum of all loss terms, for many candidates at once.
 
-    The mask is downsampled to the renderer's image size, in which instrument and background show. ``field``
-    is the method of the distance field, ``decay`` (px of the full image) the distance over which it increases by one.
+    The mask is downsampled to the renderer's image size, in which instrument and background show.
     """
 
-    def __init__(
-        self,
-        renderer: Renderer,
-        evidence: Evidence,
-        readings: Readings,
-        weights: LossWeights,
-        *,
-        decay: float = 30.0,
-        field: str = "fmm",
-    ) -> None:
-        self.renderer = renderer
-        self.evidence = evidence
-        self.readings = readings
-        self.weights = weights
+    def __init__(self, renderer: Renderer, evidence: Evidence, readings: Readings, config: EstimateConfig) -> None:
+        self.renderer, self.evidence, self.readings, self.weights = renderer, evidence, readings, config.weights
         camera = renderer.camera
         mask, weight = evidence.at_size(camera.width, camera.height)
         scale = camera.width / evidence.mask.shape[1]
-        far = distance_field(mask > 0.5, field) / (decay * scale)
+        far = distance_field(mask > 0.5, config.distance_field) / (config.decay_px * scale)
         self._area = float((mask * weight).sum())
         self._square = float((mask * mask * weight).sum())
         self._images = PixelSums.of(np.stack([np.ones_like(mask), mask, far.astype(np.float32)]), weight)

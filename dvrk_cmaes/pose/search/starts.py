@@ -25,26 +25,20 @@ _TILT_RANGE = np.deg2rad([3.0, 25.0])  # of the standard deviation of the tilt o
 
 def lookat_pose(alpha: ArrayLike, beta: ArrayLike, gamma: ArrayLike, distance: ArrayLike) -> Float64:
     """Compute LookAt poses camera_from_root (..., 4, 4): R = R_y(gamma) R_x(alpha) R_z(beta), t = [0, 0, d]."""
-    a, b, g, d = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (alpha, beta, gamma, distance)))
-    zero = np.zeros_like(a)
-    rotation = (
-        exp_rotation(np.stack([zero, g, zero], axis=-1))
-        @ exp_rotation(np.stack([a, zero, zero], axis=-1))
-        @ exp_rotation(np.stack([zero, zero, b], axis=-1))
-    )
-    return transform(rotation, np.stack([zero, zero, d], axis=-1))
+    about_x, about_y = (np.multiply.outer(angle, axis) for angle, axis in ((alpha, [1.0, 0, 0]), (gamma, [0, 1.0, 0])))
+    rotation = exp_rotation(about_y) @ exp_rotation(about_x) @ rotation_about_z(np.asarray(beta, dtype=np.float64))
+    return transform(rotation, np.multiply.outer(distance, [0.0, 0.0, 1.0]))
 
 
-def sample_joints(
-    readings: Float64, sigma: Float64, low: Float64, high: Float64, count: int, rng: np.random.Generator
-) -> Float64:
-    """Draw joint values (count, J), rad: normal about the readings (J,), or uniform in the limits if these are NaN.
+def sample_joints(readings: Readings, unread: Bool, rng: np.random.Generator) -> Float64:
+    """Draw joint values (N, J), rad, of N candidates: normal about the readings, and clipped to the limits.
 
-    Normal values have standard deviations ``sigma`` (J,) and are clipped to the limits.
+    They are uniform in the limits where there is no reading, and in candidates that are ``unread`` (N,).
     """
-    near = readings + sigma * rng.standard_normal((count, len(readings)))
-    free = rng.uniform(low, high, (count, len(readings)))
-    return np.asarray(np.where(np.isnan(readings), free, np.clip(near, low, high)))
+    size = len(unread), len(readings.values)
+    near = np.clip(readings.values + readings.sigma * rng.standard_normal(size), readings.low, readings.high)
+    free = rng.uniform(readings.low, readings.high, size)
+    return np.asarray(np.where(np.isnan(readings.values) | unread[:, None], free, near))
 
 
 def likely_distances(evidence: Evidence, instrument: Instrument) -> Float64 | None:
@@ -132,9 +126,7 @@ def _on_edges(
     Where it is not sure which end is the distal one, half of the candidates are at either end.
     """
     towards, sure = distal_direction(evidence.mask, edges, evidence.contour, evidence.camera)
-    if sure:
-        return _towards(edges, towards, evidence, instrument, count, rng)
-    ends = [(towards, count - count // 2), (-towards, count // 2)]
+    ends = [(towards, count)] if sure else [(towards, count - count // 2), (-towards, count // 2)]
     return np.concatenate([_towards(edges, each, evidence, instrument, number, rng) for each, number in ends])
 
 
@@ -189,17 +181,10 @@ def draw_starts(
     count = config.search.samples
     pairs = evidence.shaft_edges if config.search.use_edges else ()
     free = count if not pairs else round(config.search.free_share * count)
-    shares = [count - free] if len(pairs) == 1 else []
-    if len(pairs) > 1:
-        first = (count - free) * 3 // 5
-        others = (count - free - first) // (len(pairs) - 1)
-        shares = [count - free - others * (len(pairs) - 1)] + [others] * (len(pairs) - 1)
+    others = (count - free) * 2 // 5 // max(len(pairs) - 1, 1)
+    shares = [count - free - others * (len(pairs) - 1), *[others] * (len(pairs) - 1)][: len(pairs)]
     poses = [_on_edges(pair, evidence, instrument, n, rng) for pair, n in zip(pairs, shares, strict=True)]
     distances = sample_distances(free, config.lookat, likely_distances(evidence, instrument), rng)
     poses.append(sample_lookat(distances, config.lookat, rng, camera=evidence.camera, mask=evidence.mask))
-    joints = sample_joints(readings.values, readings.sigma, readings.low, readings.high, count, rng)
-    unknown = np.full(len(readings.values), np.nan)
-    uniform = sample_joints(unknown, readings.sigma, readings.low, readings.high, count, rng)
     unread = rng.uniform(size=count) < config.search.unread_share
-    joints[unread] = uniform[unread]
-    return Posed(np.concatenate(poses), joints), unread
+    return Posed(np.concatenate(poses), sample_joints(readings, unread, rng)), unread

@@ -16,7 +16,6 @@ this term is for steps that are not tested, from poses that are accurate to abou
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -51,59 +50,42 @@ def has_correlated_noise(noise: OutlineNoise) -> bool:
     return is_rough(noise) and noise.length < _LARGEST_LENGTH
 
 
-@dataclass(frozen=True, eq=False)
-class DrawnContour:
-    """The errors of a mask's contour along the outline of a pose, and what follows from their covariance.
+DrawnContour = tuple[Float64, Float64, float]
+"""Information (D, D) and slope (D,) of half the sum of squares, and the sum; 0 with too little contour in reach."""
 
-    ``information`` (D, D) and ``slope`` (D,) are those of half the sum of squares, ``cost``; all are zero where too
-    little contour is within reach.
-    """
 
-    information: Float64
-    slope: Float64
-    cost: float
+def contour_errors(reach: int) -> _kernel.ContourErrors:
+    """Return how the errors of a contour are weighed that is searched up to ``reach`` px from the outline."""
+    return _kernel.ContourErrors(
+        reach=reach,
+        least=_LEAST_POINTS,
+        normal_median=NORMAL_MEDIAN,
+        least_sigma=_LEAST_ERROR,
+        clip=_CLIP,
+        correlated=_CORRELATED,
+        length=_LENGTH,
+        farthest=_FARTHEST,
+        grid=_GRID,
+        inflation=_INFLATION,
+    )
 
 
 class CorrelatedContour(OutlineTerm[DrawnContour]):
-    """Distances of the masks' contours from the outline, of the ``views`` at their whole size.
+    """Distances of the masks' contours from the outline, of the ``views`` at their whole size."""
 
-    ``reach``, px, is the distance from the outline in which the contour is searched.
-    """
-
-    def __init__(self, views: Sequence[SizedView], *, reach: int = _REACH) -> None:
+    def __init__(self, views: Sequence[SizedView]) -> None:
         self.views = tuple(views)
-        self._errors = _kernel.ContourErrors(
-            reach=reach,
-            least=_LEAST_POINTS,
-            normal_median=NORMAL_MEDIAN,
-            least_sigma=_LEAST_ERROR,
-            clip=_CLIP,
-            correlated=_CORRELATED,
-            length=_LENGTH,
-            farthest=_FARTHEST,
-            grid=_GRID,
-            inflation=_INFLATION,
-        )
 
     def draw(self, at: Posed, *, derivatives: Derivatives | None = "closed-form") -> list[DrawnContour]:
         """Draw C poses, and sum up the views; the derivatives are in closed form."""
-        return [self._summed(of_pose) for of_pose in zip(*self.of_views(at), strict=True)]
-
-    def of_views(self, at: Posed) -> list[list[DrawnContour]]:
-        """Draw C poses in each of the V views, (V, C)."""
-        drawn = [view.contours(at, self._errors) for view in self.views]
-        return [[DrawnContour(*one) for one in zip(*of_view, strict=True)] for of_view in drawn]
-
-    @staticmethod
-    def _summed(of_views: Sequence[DrawnContour]) -> DrawnContour:
-        """Return the sum of the views."""
-        information, slope = (np.sum([getattr(d, name) for d in of_views], axis=0) for name in ("information", "slope"))
-        return DrawnContour(information, slope, sum(drawn.cost for drawn in of_views))
+        of_views = [view.contours(at, contour_errors(_REACH)) for view in self.views]
+        information, slope, cost = (np.sum(parts, axis=0) for parts in zip(*of_views, strict=True))
+        return list(zip(information, slope, cost.tolist(), strict=True))
 
     def cost_of(self, drawn: DrawnContour) -> float:
         """Return the sum of squares of what was drawn."""
-        return drawn.cost
+        return drawn[2]
 
     def near(self, drawn: Sequence[DrawnContour], at: Posed) -> Quadratic:
         """Return the approximation of half the sum of squares near C poses."""
-        return Quadratic(np.stack([d.information for d in drawn]), np.stack([d.slope for d in drawn]))
+        return Quadratic(np.stack([one[0] for one in drawn]), np.stack([one[1] for one in drawn]))

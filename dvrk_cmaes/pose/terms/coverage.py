@@ -18,13 +18,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from dvrk_cmaes import _kernel
-from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.pose.terms.outline_term import Derivatives, OutlineTerm
 from dvrk_cmaes.pose.terms.profiles import Profiles, density
-from dvrk_cmaes.pose.terms.shared_errors import SHOWN, deviations_of
+from dvrk_cmaes.pose.terms.shared_errors import SHOWN, deviations_of, sharing
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.silhouette import OutlinePoints
@@ -103,13 +102,9 @@ class Coverage(OutlineTerm[DrawnCoverage]):
             noise=self.noise if noise is None else noise,
         )
 
-    def with_cameras(self, cameras: Sequence[Camera]) -> Coverage:
-        """Return the same term seen by other cameras of the views, for images of their whole size."""
-        return self.changed([view.with_camera(camera) for view, camera in zip(self.views, cameras, strict=True)])
-
     def noise_at(self, at: Posed) -> float:
         """Return the sum of squares at one pose, with the width of scores."""
-        return sum(self.final_losses(self.draw(Posed.stacked([at]), derivatives=None)[0]))
+        return sum(self._losses(self.draw(Posed.stacked([at]), derivatives=None)[0], final=True))
 
     def draw(self, at: Posed, *, derivatives: Derivatives | None = "closed-form") -> list[DrawnCoverage]:
         """Draw C poses in all views."""
@@ -117,13 +112,9 @@ class Coverage(OutlineTerm[DrawnCoverage]):
         of_views = [view.draw(at, lines, self._widths, derivatives) for view in self.views]
         return list(zip(*of_views, strict=True))
 
-    def final_losses(self, drawn: DrawnCoverage) -> tuple[float, ...]:
-        """Return the views' sums of squares of what was drawn, with the width of scores."""
-        return tuple(one.losses[0] for one in drawn)
-
-    def _losses(self, drawn: DrawnCoverage) -> tuple[float, ...]:
-        """Return the same with the width of the refinement."""
-        return tuple(one.losses[self._place] for one in drawn)
+    def _losses(self, drawn: DrawnCoverage, *, final: bool = False) -> list[float]:
+        """Return the views' sums of squares of what was drawn, with the width of the refinement or that of scores."""
+        return [one.losses[0 if final else self._place] for one in drawn]
 
     def _sum(self, losses: Sequence[float]) -> float:
         """Return the sum of the views' losses, each with its number of measurements a pixel, beside the first one's."""
@@ -143,14 +134,15 @@ class Coverage(OutlineTerm[DrawnCoverage]):
 
     def score_of(self, drawn: DrawnCoverage, *, final: bool = False) -> float:
         """Return the negative log-likelihood up to a constant; with the variance estimated if no noise is given."""
-        losses = self.final_losses(drawn) if final else self._losses(drawn)
+        losses = self._losses(drawn, final=final)
         if self.noise is not None:
             return 0.5 * self._weight(losses) * self._sum(losses)
         return 0.5 * self._count * float(np.log(max(sum(losses), self._least)))
 
     def near(self, drawn: Sequence[DrawnCoverage], at: Posed) -> Profiles:
         """Return the loss near C poses, as a function of their small changes."""
-        return Profiles(drawn, self._shares, self._density, self._width)
+        compared = [one for of_pose in drawn for one in of_pose]
+        return Profiles(compared, self._shares, self._density, self._width)
 
     def near_with_sides(
         self,
@@ -193,7 +185,7 @@ class Coverage(OutlineTerm[DrawnCoverage]):
                 stride,
                 [view.axis(at).tolist() for view in self.views],
                 [deviations_of(noise) for noise in noises],
-                self.views[0].sharing,
+                sharing(self.views[0].renderer.body.instrument),
                 more,
                 offsets,
                 SHOWN,

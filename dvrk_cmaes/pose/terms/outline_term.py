@@ -6,9 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Generic, Literal, TypeVar
 
-import numpy as np
-
-from dvrk_cmaes.geometry import Float64, Posed
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Approximation
 
@@ -48,20 +46,7 @@ class OutlineTerm(ABC, Generic[D]):
         """
         return 0.5 * self.weight_of(drawn) * self.cost_of(drawn)
 
-    def cost(self, at: Posed) -> Float64:
-        """Return the sum of squares (C,) at C poses."""
-        return np.array([self.cost_of(drawn) for drawn in self.draw(at, derivatives=None)])
-
-    def local(self, at: Posed) -> Approximation:
-        """Return the approximation of half the sum of squares near C poses."""
-        return self.near(self.draw(at), at)
-
     @property
     def silhouettes(self) -> int:
         """Number of silhouettes drawn so far."""
-        return sum(view.silhouettes for view in self.views)
-
-    @property
-    def rays(self) -> int:
-        """Number of rays traced so far."""
-        return sum(view.rays for view in self.views)
+        return sum(view.renderer.poses for view in self.views)

@@ -27,20 +27,15 @@ def density(blur: float) -> list[float]:
 
 @dataclass(frozen=True, eq=False)
 class Profiles(Approximation):
-    """The samples of C poses in V views: ``drawn`` (C, V) with outlines.
+    """The samples of C poses in V views: those of the views of the first pose, drawn with outlines, come first.
 
     factors : (V,) of the views' losses. density : as `density`. cauchy : width of the robust loss.
     """
 
-    drawn: Sequence[tuple[_kernel.Comparison, ...]]
+    compared: Sequence[_kernel.Comparison]
     factors: Sequence[float]
     density: Sequence[float]
     cauchy: float
-
-    @property
-    def dimension(self) -> int:
-        """Number D of small changes."""
-        return self.drawn[0][0].unknowns
 
     def normal_equations(self, change: Float64) -> tuple[Float64, Float64]:
         """Compute information (C, D, D) and slope (C, D) of the robust loss at changes (C, D) of the poses.
@@ -48,8 +43,3 @@ class Profiles(Approximation):
         They are in sums of squares of coverage, with the weights of the Cauchy loss at the changed poses.
         """
         return _kernel.normal_equations(self.compared, self.factors, self.density, self.cauchy, change)
-
-    @property
-    def compared(self) -> list[_kernel.Comparison]:
-        """All of ``drawn`` in one list."""
-        return [one for of_pose in self.drawn for one in of_pose]

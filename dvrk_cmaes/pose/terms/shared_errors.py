@@ -15,8 +15,6 @@ shadows that last for seconds; the kinds of masks are those of smooth and of rou
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -56,24 +54,6 @@ _SIDE_OF_LONG, _LINK_OF_LONG = 0.8, 0.3
 _USUAL_LENGTH, _LENGTH_SCALE = 19.0, 17.0  # px of contour
 
 
-@dataclass(frozen=True, eq=False)
-class SharedErrors:
-    """M shared errors of the N points of an outline.
-
-    ``columns`` (N, M) are the shares with which each displaces the points outwards; ``deviations`` (M,), px, are their
-    standard deviations. The first `SIDES` are those of both sides of the shaft as a whole, also where the outline
-    has no such side, and the next one is the margin.
-    """
-
-    columns: Float64
-    deviations: Float64
-
-    @property
-    def information(self) -> Float64:
-        """What is known of the errors beforehand, (M, M)."""
-        return np.diag(1 / self.deviations**2)
-
-
 def shared_errors(
     outline: OutlinePoints,
     instrument: Instrument,
@@ -81,8 +61,12 @@ def shared_errors(
     seen: Posed,
     noise: OutlineNoise,
     offsets: Float64 | None = None,
-) -> SharedErrors:
-    """Return the shared errors of the outline of one pose ``seen`` in a camera, for a contour with some noise.
+) -> tuple[Float64, Float64]:
+    """Return the M shared errors of an outline of N points, of one pose ``seen`` in a camera with some noise.
+
+    They are the shares (N, M) with which each displaces the points outwards, and their standard deviations (M,), px.
+    The first `SIDES` are those of both sides of the shaft as a whole, also where the outline has no such side, and the
+    next one is the margin.
 
     With ``offsets`` (N,), px, by which the mask lies outwards of the points, standard deviations are as large as the
     mask shows the errors, where that is more than usual. A shadow that is taken for the shaft moves one side of the
@@ -92,16 +76,18 @@ def shared_errors(
     """
     link, points = outline.link.astype(np.int64), np.ascontiguousarray(outline.points)
     axis, known = image_axis(instrument, camera, seen).tolist(), deviations_of(noise)
-    found = _kernel.shared_errors(
+    return _kernel.shared_errors(
         link, np.ascontiguousarray(outline.normals), points, axis, known, sharing(instrument), offsets, SHOWN
     )
-    return SharedErrors(*found)
 
 
 def deviations_of(noise: OutlineNoise) -> list[float]:
     """Return the standard deviations of shared errors, px: a side of the shaft's, the margin, a node's, a link's."""
-    link = float(np.hypot(_LINK * noise.sigma, _LINK_OF_LONG * _long(noise)))
-    return [side_deviation(noise), _MARGIN * noise.sigma, _NODE * noise.sigma, link]
+    sigma, length = noise.sigma, noise.length
+    long = sigma * np.sqrt(max(length - _USUAL_LENGTH, 0.0) / _LENGTH_SCALE)  # of what is the same over more contour
+    link = float(np.hypot(_LINK * sigma, _LINK_OF_LONG * long))
+    side = float(np.sqrt((_SIDE * sigma) ** 2 + (_SIDE_OF_LONG * long) ** 2 + _LEAST_SIDE**2))
+    return [side, _MARGIN * sigma, _NODE * sigma, link]
 
 
 def sharing(instrument: Instrument) -> _kernel.Sharing:
@@ -129,11 +115,6 @@ def sides_of_shaft(outline: OutlinePoints, instrument: Instrument, camera: Camer
     return np.asarray((across > 0) & (outline.link == 0)[:, None] & (instrument.shaft is not None))
 
 
-def side_deviation(noise: OutlineNoise) -> float:
-    """Return the standard deviation, px, of the error of a side of the shaft as a whole."""
-    return float(np.sqrt((_SIDE * noise.sigma) ** 2 + (_SIDE_OF_LONG * _long(noise)) ** 2 + _LEAST_SIDE**2))
-
-
 def image_axis(instrument: Instrument, camera: Camera, seen: Posed) -> Float64:
     """Return the unit vector (2,) in the image along which the shaft points, at the root's origin.
 
@@ -150,11 +131,6 @@ def image_axis(instrument: Instrument, camera: Camera, seen: Posed) -> Float64:
     here, back = camera.project(ends)
     length = float(np.linalg.norm(here - back))
     return np.asarray((here - back) / length if length > 0 else np.array([1.0, 0.0]))
-
-
-def _long(noise: OutlineNoise) -> float:
-    """Return the standard deviation, px, of the part of the noise that stays the same over more contour than usual."""
-    return float(noise.sigma * np.sqrt(max(noise.length - _USUAL_LENGTH, 0.0) / _LENGTH_SCALE))
 
 
 def without_last(terms: Quadratic, information: Float64) -> Quadratic:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 
 import cv2
@@ -12,18 +13,15 @@ from numpy.typing import NDArray
 from dvrk_cmaes import _kernel
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import shrunk, window_around
-from dvrk_cmaes.evidence.outline_noise import OutlineNoise, distances_to, less_margin
+from dvrk_cmaes.evidence.outline_noise import distances_to, less_margin
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.shared_errors import (
-    SharedErrors,
     image_axis,
     mean_errors,
-    shared_errors,
-    sharing,
     sides_of_shaft,
 )
 from dvrk_cmaes.pose.views import FrameView
-from dvrk_cmaes.silhouette import Body, OutlinePoints, Renderer
+from dvrk_cmaes.silhouette import OutlinePoints, Renderer
 from dvrk_cmaes.silhouette.moving_points import moving_points
 
 Float64 = NDArray[np.float64]
@@ -57,7 +55,6 @@ class SizedView:
         blur: float,
         shrink: int = 1,
         renderer: Renderer | None = None,
-        differences: Body | None = None,
         margin: float | NDArray[np.float32] = 0.0,
     ) -> None:
         evidence, camera = view.evidence, view.evidence.camera
@@ -78,9 +75,7 @@ class SizedView:
         self.view, self._size, self._window = view, size, (left, top, width, height)
         used = view.renderer if renderer is None else renderer
         self.camera = self._in_window(camera)
-        self._renderer = Renderer(used.body, self.camera, threads=used.threads)
-        moved = used.body if differences is None else differences
-        self._moved = Renderer(moved, self.camera, threads=used.threads)
+        self.renderer = Renderer(used.body, self.camera, threads=used.threads)
         self.weight = np.ones((height, width), dtype=np.float32)
         if evidence.ignores:
             weight = evidence.weight if shrink == 1 else evidence.weight_at(*size)
@@ -97,17 +92,15 @@ class SizedView:
 
     def placed(self, view_from_camera: Float64) -> SizedView:
         """Return the same view at another place of the rig."""
-        other = object.__new__(SizedView)
-        other.__dict__ |= self.__dict__ | {"view": replace(self.view, view_from_camera=view_from_camera)}
+        other = copy(self)
+        other.view = replace(self.view, view_from_camera=view_from_camera)
         return other
 
     def with_camera(self, camera: Camera) -> SizedView:
         """Return the same view seen by another camera, for images of the whole size; its silhouettes count anew."""
-        other = object.__new__(SizedView)
-        other.__dict__ |= self.__dict__
+        other = copy(self)
         other.camera = self._in_window(camera)
-        other._renderer = Renderer(self._renderer.body, other.camera, threads=self._renderer.threads)
-        other._moved = Renderer(self._moved.body, other.camera, threads=self._renderer.threads)
+        other.renderer = Renderer(self.renderer.body, other.camera, threads=self.renderer.threads)
         other._remembered = {}
         return other
 
@@ -115,16 +108,6 @@ class SizedView:
         """Return the camera of the window at this size."""
         resized = camera if self._size == (camera.width, camera.height) else camera.scaled(*self._size)
         return resized.cropped(*self._window)
-
-    @property
-    def silhouettes(self) -> int:
-        """Number of silhouettes drawn so far."""
-        return self._renderer.poses + self._moved.poses
-
-    @property
-    def rays(self) -> int:
-        """Number of rays traced so far."""
-        return self._renderer.rays + self._moved.rays
 
     def draw(
         self, at: Posed, lines_per_pixel: int, cauchy: Sequence[float], derivatives: str | None
@@ -142,11 +125,11 @@ class SizedView:
         missing = [k for k, key in enumerate(keys) if key not in known]
         if missing:
             outlined = derivatives is not None
-            drawn = self._renderer.compare(
+            drawn = self.renderer.compare(
                 seen[missing], self.target, cauchy, lines_per_pixel=lines_per_pixel, outlines=outlined
             )
             if differences:
-                self._moved.difference(drawn, seen[missing], lines_per_pixel=lines_per_pixel)
+                self.renderer.difference(drawn, seen[missing], lines_per_pixel=lines_per_pixel)
             known |= zip([keys[k] for k in missing], drawn, strict=True)
             self._remembered = dict(list((self._remembered | known).items())[-REMEMBERED:])
         return [known[key] for key in keys]
@@ -161,16 +144,16 @@ class SizedView:
     def outlines(self, at: Posed) -> list[OutlinePoints]:
         """Find the outline of each of C poses."""
         seen = at.seen_from(self.view.view_from_camera)
-        return self._renderer.outlines(seen.pose, seen.joints)
+        return self.renderer.outlines(seen.pose, seen.joints)
 
     def contours(self, at: Posed, errors: _kernel.ContourErrors) -> tuple[Float64, Float64, Float64]:
         """Compare the outlines of C poses with the mask's contour, as `Renderer.contours`."""
-        return self._renderer.contours(at.seen_from(self.view.view_from_camera), self.mask, self.weight, errors)
+        return self.renderer.contours(at.seen_from(self.view.view_from_camera), self.mask, self.weight, errors)
 
     def jacobians(self, outlines: Sequence[OutlinePoints], at: Posed) -> list[Float64]:
         """Return the Jacobian (N, 6 + J) of the points of the outlines of C poses, as in `MovingPoints`."""
         seen = at.seen_from(self.view.view_from_camera)
-        of_poses = moving_points(self._renderer.body.instrument, self.camera, outlines, seen)
+        of_poses = moving_points(self.renderer.body.instrument, self.camera, outlines, seen)
         return [moving.jacobian for moving in of_poses]
 
     def offsets(self, outline: OutlinePoints) -> Float64:
@@ -187,26 +170,16 @@ class SizedView:
     def sides_of_shaft(self, outline: OutlinePoints, at: Posed) -> NDArray[np.bool_]:
         """Return which points (N, 2) of the outline of one pose are on each side of the shaft."""
         seen = at.seen_from(self.view.view_from_camera)
-        return sides_of_shaft(outline, self._renderer.body.instrument, self.camera, seen)
+        return sides_of_shaft(outline, self.renderer.body.instrument, self.camera, seen)
 
     def axis(self, at: Posed) -> Float64:
         """Return the direction (2,) in the image along which the shaft of one pose points."""
-        return image_axis(self._renderer.body.instrument, self.camera, at.seen_from(self.view.view_from_camera))
-
-    @property
-    def sharing(self) -> _kernel.Sharing:
-        """Which points of the instrument's outline share errors."""
-        return sharing(self._renderer.body.instrument)
-
-    def shared_errors(self, outline: OutlinePoints, at: Posed, noise: OutlineNoise) -> SharedErrors:
-        """Return what the points of the outline of one pose may err by together, for a contour with some noise."""
-        seen = at.seen_from(self.view.view_from_camera)
-        return shared_errors(outline, self._renderer.body.instrument, self.camera, seen, noise)
+        return image_axis(self.renderer.body.instrument, self.camera, at.seen_from(self.view.view_from_camera))
 
     def mean_errors(self, outline: OutlinePoints, at: Posed) -> Float64:
         """Return the displacements (N, 7) of the outline's points of one pose by the mean errors of all masks."""
         seen = at.seen_from(self.view.view_from_camera)
-        return mean_errors(outline, self._renderer.body.instrument, self.camera, seen)
+        return mean_errors(outline, self.renderer.body.instrument, self.camera, seen)
 
 
 def blur_filter(blur: float) -> list[float]:

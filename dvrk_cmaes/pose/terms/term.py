@@ -16,11 +16,6 @@ from dvrk_cmaes.geometry import Float64, Posed
 class Approximation(ABC):
     """A term near C poses, as a function of small changes (C, D) of these."""
 
-    @property
-    @abstractmethod
-    def dimension(self) -> int:
-        """Number D of small changes."""
-
     @abstractmethod
     def normal_equations(self, change: Float64) -> tuple[Float64, Float64]:
         """Return the information (C, D, D) and the slope (C, D) of half the sum of squares after changes (C, D)."""
@@ -61,15 +56,6 @@ class Quadratic(Approximation):
         """Return those near several groups of poses together."""
         return cls(
             np.concatenate([group.information for group in groups]), np.concatenate([group.slope for group in groups])
-        )
-
-    def padded(self, dimension: int) -> Quadratic:
-        """Return that of a function of more unknowns, D' = ``dimension``, which does not depend on the further ones."""
-        more = dimension - self.dimension
-        if not more:
-            return self
-        return Quadratic(
-            np.pad(self.information, ((0, 0), (0, more), (0, more))), np.pad(self.slope, ((0, 0), (0, more)))
         )
 
     def normal_equations(self, change: Float64) -> tuple[Float64, Float64]:

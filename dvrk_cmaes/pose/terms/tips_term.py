@@ -3,39 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from dvrk_cmaes.config import OutlineConfig
-from dvrk_cmaes.geometry import Float64, Indices, Posed
-from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search.objective import project_tips
 from dvrk_cmaes.pose.terms.readings_term import ReadingsTerm
 from dvrk_cmaes.pose.terms.term import Quadratic, Term
 from dvrk_cmaes.pose.views import FrameView
-from dvrk_cmaes.silhouette.moving_points import moving_points
 
-
-@dataclass(frozen=True, eq=False)
-class _TipsAlongAxes:
-    """Each jaw tip twice, as points whose motion along u and along v is asked for; ``order`` sorts tips by link."""
-
-    order: Indices
-    link: Indices
-    points: Float64
-    normals: Float64
-
-    @staticmethod
-    def of(instrument: Instrument) -> _TipsAlongAxes:
-        """Take the tips of an instrument."""
-        links = np.array([tip.link for tip in instrument.jaw_tips])
-        order = np.argsort(links, kind="stable")
-        points = np.stack([tip.position for tip in instrument.jaw_tips])[order]
-        return _TipsAlongAxes(
-            order, np.repeat(links[order], 2), np.repeat(points, 2, axis=0), np.tile(np.eye(2), (len(links), 1))
-        )
+_STEP = 1e-6  # m and rad, of the central differences
 
 
 class TipsTerm(Term):
@@ -49,7 +28,6 @@ class TipsTerm(Term):
         self._view = view
         self._tips = view.evidence.tips
         self._sigma = sigma
-        self._fixed = _TipsAlongAxes.of(view.renderer.body.instrument)
 
     @staticmethod
     def of_views(views: Sequence[FrameView], config: OutlineConfig) -> list[TipsTerm]:
@@ -59,23 +37,22 @@ class TipsTerm(Term):
 
     def cost(self, at: Posed) -> Float64:
         """Return the sum of squares (C,)."""
-        instrument, camera = self._view.renderer.body.instrument, self._view.evidence.camera
-        projected = project_tips(instrument, camera, at.seen_from(self._view.view_from_camera)).reshape(-1, 4)
-        return np.asarray((self._residuals(projected) ** 2).sum(axis=1))
+        return np.asarray((self._residuals(self._projected(at)) ** 2).sum(axis=1))
 
     def local(self, at: Posed) -> Quadratic:
-        """Return the approximation of half of it, by the motion of the tips with pose and joints."""
+        """Return the approximation of half of it, by central differences of the projected tips."""
+        count = 6 + at.joints.shape[1]
+        changes = _STEP * np.concatenate([np.eye(count), -np.eye(count)])
+        around = at[np.repeat(np.arange(len(at)), 2 * count)].moved(np.tile(changes, (len(at), 1)))
+        ahead, behind = np.moveaxis(self._projected(around).reshape(len(at), 2, count, 4), 1, 0)
+        transposed = (ahead - behind) / (2 * _STEP * self._sigma)
+        slope = transposed @ self._residuals(self._projected(at))[:, :, None]
+        return Quadratic(transposed @ transposed.swapaxes(1, 2), slope[:, :, 0])
+
+    def _projected(self, at: Posed) -> Float64:
+        """Project the tips of C poses, (C, 4) px."""
         instrument, camera = self._view.renderer.body.instrument, self._view.evidence.camera
-        seen = at.seen_from(self._view.view_from_camera)
-        moving = moving_points(instrument, camera, [self._fixed] * len(at), seen)
-        by_tip = np.empty((len(at), 2, 2, moving[0].jacobian.shape[1]))
-        by_tip[:, self._fixed.order] = np.stack([each.jacobian for each in moving]).reshape(by_tip.shape)
-        projected = np.empty((len(at), 2, 2))
-        projected[:, self._fixed.order] = np.stack([each.pixels[::2] for each in moving])
-        jacobian = by_tip.reshape(len(at), 4, -1) / self._sigma
-        residuals = self._residuals(projected.reshape(-1, 4))
-        transposed = jacobian.swapaxes(1, 2)
-        return Quadratic(transposed @ jacobian, (transposed @ residuals[:, :, None])[:, :, 0])
+        return project_tips(instrument, camera, at.seen_from(self._view.view_from_camera)).reshape(-1, 4)
 
     def _residuals(self, projected: Float64) -> Float64:
         """Return the C projected tips, (C, 4) px, less those given, in standard deviations.
