@@ -304,14 +304,16 @@ def errors_of_camera(check: CameraCheck, camera: Camera, config: CameraConfig) -
     return errors
 
 
-def estimate_camera(arms: Sequence[ArmOutlines], config: EstimateConfig, *, passes: int) -> list[Linearised]:
+def estimate_camera(
+    arms: Sequence[ArmOutlines], config: EstimateConfig, *, passes: int, names: Sequence[str] = (CAMERA, SIZES)
+) -> list[Linearised]:
     """Estimate the change of the camera with the calibrations of a session's arms.
 
     Arguments are as in `linearise`; the outlines are those of the reference camera, with the change among their blocks.
     ``config`` has the settings of the variance components, which are estimated again with the change.
     """
     solver = partial(solve_with_variances, config=config.session, steps=_STEPS)
-    return linearise(arms, solver, [CAMERA, SIZES], passes=passes)
+    return linearise(arms, solver, names, passes=passes)
 
 
 def _stated(
@@ -354,21 +356,17 @@ def check_camera(
         found = estimate_camera(arms, config, passes=passes)
         if far := passes > 1 and not all(one.plausible for one in found):
             found = estimate_camera(arms, config, passes=1)
-        first = found if reason == _NOT_ASKED or applied is not None else _at_file(arms, config)
+        first = found
+        if reason != _NOT_ASKED and applied is None:
+            file = CameraChange(file_deviations(arms[0].outlines.camera, config.camera))
+            blocks = [tuple(file if one.name == CAMERA else one for one in arm.outlines.blocks) for arm in arms]
+            pairs = zip(arms, blocks, strict=True)
+            by_file = [arm._replace(outlines=replace(arm.outlines, blocks=own)) for arm, own in pairs]
+            first = estimate_camera(by_file, config, passes=_FILE_PASSES, names=(SIZES, BIAS))
     except InputError as error:
         return [CameraCheck(None, f"camera: {error}", np.zeros((arm.calibration.alone().own,) * 2)) for arm in arms]
     each = zip(found, first, arms, strict=True)
     return [_checked(last, near, arm.outlines, config, reason, applied, far=far) for last, near, arm in each]
-
-
-def _at_file(arms: Sequence[ArmOutlines], config: EstimateConfig) -> list[Linearised]:
-    """Estimate sizes of the instrument and errors of the masks where the camera's file is a measurement of it."""
-    file = CameraChange(file_deviations(arms[0].outlines.camera, config.camera))
-    blocks = [tuple(file if one.name == CAMERA else one for one in arm.outlines.blocks) for arm in arms]
-    seen = [replace(arm.outlines, blocks=own) for arm, own in zip(arms, blocks, strict=True)]
-    solver = partial(solve_with_variances, config=config.session, steps=_STEPS)
-    given = [arm._replace(outlines=own) for arm, own in zip(arms, seen, strict=True)]
-    return linearise(given, solver, [SIZES, BIAS], passes=_FILE_PASSES)
 
 
 def _checked(
