@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.frames.seen_view import overlap_of
 from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.segment import Segmentation, segment
 from dvrk_cmaes.segment.around import segmentation_around
@@ -76,15 +77,8 @@ def segment_again(
     ``mask`` (H, W) is the mask that the silhouette's pose was fitted to. Returns None where silhouette and mask overlap
     too little for a prior, or where no pixel is taken for the instrument.
     """
-    if _overlap(silhouette, mask, ignore) < _LEAST_OVERLAP:
+    counts = np.True_ if ignore is None else ~ignore
+    if overlap_of(silhouette & counts, mask & counts) < _LEAST_OVERLAP:
         return None
     segmentation = segmentation_around(image, silhouette, draw_prompts(image, hints))
     return segmentation if segmentation.mask.any() else None
-
-
-def _overlap(silhouette: Bool, mask: Bool, ignore: Bool | None) -> float:
-    """Intersection over union of silhouette and mask over the pixels that count; 0 for an empty or full silhouette."""
-    if silhouette.all() or not silhouette.any():
-        return 0.0
-    counts = np.ones_like(mask) if ignore is None else ~ignore
-    return float((silhouette & mask & counts).sum() / max(((silhouette | mask) & counts).sum(), 1))
