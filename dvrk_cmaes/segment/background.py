@@ -11,6 +11,7 @@ before the dark squares of a board; there the shape of the instrument decides.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
@@ -45,7 +46,9 @@ _RATIO: Final = np.array([-0.7, -0.5, -0.38, -0.28, -0.12, -0.06, 0.06, 0.12, 0.
 _ODDS: Final = np.array([4.0, 3.0, 1.0, -0.3, -1.0, -4.0, -4.0, 0.0, 3.0])
 """Log-odds of instrument by the logarithm of brightness against the background's; shadows are about -0.25."""
 _NOISE: Final = 2.0  # standard deviations of the differences, which say nothing
-_ROBUST: Final = 1.48  # standard deviations in the median of absolute values
+_LEVELS: Final = 9  # limits of the bins of brightness, in which the noise is measured
+_LEAST_PIXELS: Final = 200  # in such a bin
+_MOST_NOISE: Final = 2.0  # in such a bin, times that of the whole picture
 _SAME: Final = 0.15, 4.0  # log-odds against a pixel that is as the background: where the instrument has its colour, not
 _UNSEEN: Final = 0.05  # share of the instrument whose colours do not differ from the background anywhere
 _SMOOTH: Final = 0.7  # px, standard deviation of the Gaussian that smooths differences
@@ -162,11 +165,28 @@ def _by_difference(image: Image, background: Image) -> Float32:
     ratio = np.log((image.astype(np.float32) + _DARK) / (near.astype(np.float32) + _DARK))
     most = np.abs(ratio).argmax(axis=2)[..., None]  # in a shadow all channels differ alike
     ratio, level = (np.take_along_axis(each, most, axis=2)[..., 0] for each in (ratio, near))
-    # the median over the whole picture: where it is dark, the instrument may cover most pixels
-    noise = max(_ROBUST * float(np.median(np.abs(image.astype(np.float32) - background))), 1.0) / (level + _DARK)
+    noise = _noise(image, background)[level] / (level + _DARK)
     beyond = np.sign(ratio) * np.maximum(np.abs(ratio) - _NOISE * noise, 0)
     smooth = cv2.GaussianBlur(beyond.astype(np.float32), (0, 0), _SMOOTH)
     return np.asarray(np.interp(smooth, _RATIO, _ODDS), np.float32)
+
+
+def _noise(image: Image, background: Image) -> Float32:
+    """Return the standard deviation of an image's noise by brightness (256,), grey levels, by its difference.
+
+    It is at most twice that of the whole picture: of a dark corner, the instrument may cover most pixels.
+    """
+    away = np.abs(image.astype(np.float32) - background).mean(axis=2)
+    level = background.mean(axis=2)
+    limits = np.linspace(0, 256, _LEVELS)
+    bins = [(level >= low) & (level < high) for low, high in itertools.pairwise(limits)]
+    known = [k for k, each in enumerate(bins) if each.sum() > _LEAST_PIXELS]
+    if not known:
+        return np.ones(256, np.float32)
+    most = _MOST_NOISE * float(np.median(away))
+    deviations = [1.48 * min(float(np.median(away[bins[k]])), most) for k in known]
+    middles = (limits[:-1] + limits[1:])[known] / 2
+    return np.maximum(np.interp(np.arange(256), middles, deviations), 1.0).astype(np.float32)
 
 
 def _shift(background: Image, image: Image) -> tuple[float, float]:
