@@ -2,7 +2,7 @@
 
 A table of the arm's measured Cartesian poses is CSV: ``time`` (s), the position ``x``, ``y``, ``z`` (m), the unit
 quaternion ``qx``, ``qy``, ``qz``, ``qw``, and, if known, ``jaw`` (rad). Which frames the poses relate is not in such
-tables; `read_pose_table` is told it.
+tables; it is an argument of `read_pose_table`.
 """
 
 from __future__ import annotations

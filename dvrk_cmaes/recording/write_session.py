@@ -108,7 +108,7 @@ def write_session(
     overwrite
         Replace an existing session.
     masks
-        Masks of the images, as of `given_masks.write_masks`; by default the session has none.
+        Masks of the images, as of `write_masks`; by default the session has none.
 
     Raises
     ------
