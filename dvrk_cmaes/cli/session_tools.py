@@ -105,7 +105,8 @@ _MOST_REASONS = 8
 
 def pictures_at(path: Path) -> tuple[Path, str | None]:
     """Return the folder that a path names, and the pattern of its frames' names where it is a photo or a glob."""
-    if path.is_dir() or not (path.is_file() or any(mark in path.name for mark in "*?[")):
+    picture = path.is_file() and path.suffix.lower() in (".png", ".jpg", ".jpeg")
+    if path.is_dir() or not (picture or any(mark in path.name for mark in "*?[")):
         return path, None
     folder = path.parent
     return folder.parent if folder.name in ("images", "masks") else folder, path.stem
