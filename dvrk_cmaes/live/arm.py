@@ -93,7 +93,7 @@ class LiveArm:
         self.draws = draw is not None
         self._make_tracker, self._make_drawing = make_tracker, draw
         self._outputs, self._report, self._now = outputs, report, now
-        self._reason, self._told = "", now()
+        self._reason, self._stated = "", now()
         self._failures, self._origin = 0, origin
 
     def begin(self, rig: Rig) -> None:
@@ -150,7 +150,7 @@ class LiveArm:
         )
         self.poses += result.camera_from_root is not None and result.status != "lost"
         self.ok += result.status == "ok" and not doubts
-        self._told = self._now()
+        self._stated = self._now()
         self.wait("waiting for images")
         self.base_state = state
 
@@ -182,6 +182,6 @@ class LiveArm:
 
     def publish_if_due(self, silent: Sequence[str]) -> None:
         """Publish the state if nothing was published for a second."""
-        if self._now() - self._told >= _STATE_EVERY:
-            self._told = self._now()
+        if self._now() - self._stated >= _STATE_EVERY:
+            self._stated = self._now()
             self._outputs.publish_state(self.state, self._reason, silent)

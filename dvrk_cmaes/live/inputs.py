@@ -323,7 +323,7 @@ class Inputs:
             mailbox.put(readings)
 
     def _on_endoscope(self, topic: str, fields: Fields) -> None:
-        """Give whole readings of the endoscope's arm to all arms beside their own."""
+        """Give whole readings of the endoscope's arm to all arms, with their own."""
         readings = read_joint_message(topic, fields)
         self._heard[topic] = self.now()
         joints = {f"ecm_{name}": value for name, value in readings.joints.items() if f"ecm_{name}" in ECM_JOINTS}

@@ -3,7 +3,7 @@
 The connection is opened again whenever it is lost. Messages are published only while it is open and the server takes
 them; others are dropped, so that memory does not grow and what arrives is new.
 
-Messages are told apart here, not by roslibpy, whose events of topics and of the connection share their names.
+Messages are assigned to their topics here, not by roslibpy, whose events of topics and of the connection share names.
 """
 
 from __future__ import annotations
@@ -175,7 +175,7 @@ class RosbridgeConnection(Connection):
 
 
 class _Flow:
-    """Is told by the websocket's buffer when to stop sending, and when to go on."""
+    """Called by the websocket's buffer where sending is to stop, and where it may go on."""
 
     def __init__(self) -> None:
         self.stopped = False

@@ -1,4 +1,4 @@
-"""A process that solves the keyframes of a tracker beside its steps."""
+"""A process that solves the keyframes of a tracker while it follows images."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Masks of an instrument in a recording's images, found around the silhouettes that its calibration expects.
 
 The colours of instrument and surroundings are those of the recording's keyframes, learned at their fitted poses. What
-an image shows is told by these colours, by the edge between the local colours on both sides of the outline, and by the
-silhouette, whose outline may be off by as much as the prediction is uncertain.
+an image shows is decided by these colours, by the edge between the local colours on both sides of the outline, and by
+the silhouette, whose outline may be off by as much as the prediction is uncertain.
 """
 
 from __future__ import annotations

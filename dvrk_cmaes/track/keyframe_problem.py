@@ -204,7 +204,7 @@ SECONDS_OF_MANY: Final = 2.0
 
 
 class Solver(Protocol):
-    """Solves keyframes beside the steps: of the problems, what is asked for first is solved first."""
+    """Solves keyframes while images are followed: of the problems, what is asked for first is solved first."""
 
     def begin(self, problem: KeyframeProblem) -> Future[Solution]:
         """Begin with a problem, after those before it; returns at once."""
