@@ -233,7 +233,7 @@ def _masked(
     for view, silhouette in zip(data.views, drawn, strict=True):
         model = colours.get(view.name)
         if view.given or view.image is None or model is None:
-            views.append(view)
+            views.append(replace(view, image=None))
             continue
         found = mask_around(view.image, silhouette, model, view.ignore, spread)
         mask = np.zeros_like(silhouette) if found is None else found.mask
