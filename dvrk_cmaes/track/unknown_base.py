@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
-from threading import Thread
 
 import numpy as np
 
@@ -225,18 +224,13 @@ class UnknownBase:
 
 def _called(function: Callable[[], Result | None], *, background: bool) -> Future[Result | None]:
     """Call a function, in a thread if that is to be done in the background; returns its future value."""
-    future = Future[Result | None]()
-
-    def call() -> None:
-        try:
-            future.set_result(function())
-        except BaseException as error:
-            future.set_exception(error)
-
     if background:
-        Thread(target=call).start()  # not a daemon: the program ends after it
-    else:
-        call()
+        executor = ThreadPoolExecutor(1)
+        future = executor.submit(function)
+        executor.shutdown(wait=False)  # the thread ends with the function, and the program after it
+        return future
+    future = Future()
+    future.set_result(function())
     return future
 
 
