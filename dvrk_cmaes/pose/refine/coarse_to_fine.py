@@ -24,7 +24,7 @@ from dvrk_cmaes.silhouette import Body, Renderer
 
 _LEAST_AREA = 800.0  # px of a mask in the small images
 _FULL_STEPS = 6  # largest number of iterations at full size before the noise is estimated
-_AT_SMALL, _AT_FULL = 8, 3  # best modes that are refined at the small and at full size, mirror twins not counted
+_AT_FULL = 3  # best modes that are refined at full size, mirror twins not counted
 _FULL = Selection(share=0.93, gap=30.0)
 """Which modes go on after each iteration at full size; at the small size, all do until they have converged."""
 _CLEARLY_WORSE = 15.0  # difference of the negative log-likelihood
@@ -91,13 +91,13 @@ class LocalSearch:
         return _not_diverged(fits)
 
     def refine(self, candidates: Sequence[PoseCandidate]) -> tuple[list[Fit], list[Rotation]]:
-        """Refine the best of what a search found in small images, and the best of it at full size; best modes first.
+        """Refine what a search found in small images, and the best of it at full size; best modes first.
 
         They include the mirror twins of all of them if the instrument has such. Also returns the rotation by which each
         view but the first would turn at the best mode, as `rotations_of_views`.
         """
         instrument, small = self._decimated.instrument, self._small
-        modes: Sequence[PoseCandidate] = best_per_mode(candidates, most=_AT_SMALL, mirrored=instrument)
+        modes: Sequence[PoseCandidate] = best_per_mode(candidates, mirrored=instrument)
         if small > 1:
             refined = self._refine(self._coverage(small), modes, ALL)
             found = best_per_mode(refined, most=_AT_FULL, mirrored=instrument)
