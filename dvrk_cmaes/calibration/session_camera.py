@@ -54,7 +54,7 @@ _STEPS = 10  # largest number of Gauss-Newton steps between two estimates of the
 _LEAST_FRAMES, _MANY_FRAMES = 6, 10
 _LEAST_INSERTION = 5e-3  # m, range of the readings
 _CONTRADICTION = 16.27  # squared distance from no change, of 99.9 % with three unknowns
-_WRONG_SHARE, _WRONG_STD = 0.08, 10.0
+_WRONG_SHARE, _WRONG_STD = 0.05, 10.0
 """Share of files of another zoom, crop or endoscope, as far as frames could show it, and their errors in usual ones."""
 IMPLAUSIBLE = (
     "camera: its estimate from these frames is not plausible; frames with other poses of the arm, above all another "

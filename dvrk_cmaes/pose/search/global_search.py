@@ -19,7 +19,7 @@ from dvrk_cmaes.silhouette.moving_points import moving_points
 _POSE_SCALE = np.array([1e-3, 1e-3, 3e-3, np.deg2rad(4), np.deg2rad(4), np.deg2rad(15)])
 """Expected errors of a start: along the root's x, y and z axes, m, and about them, rad."""
 _LEAST_AREA = 150.0  # px of a mask in the search's image
-_SPREAD_PX, _SPREAD = 1.5, 3.0  # of the first population: px of the search's image, and expected errors at most
+_SPREAD_PX, _SPREAD = 1.0, 3.0  # of the first population: px of the search's image, and expected errors at most
 _DISTINCT = float(np.deg2rad(20)), float(np.deg2rad(17))  # rotation, or a joint, by which starts differ
 _JOINT_SCALE = 0.5  # expected error of a start's joints, in standard deviations of the readings
 
