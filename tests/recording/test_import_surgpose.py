@@ -247,9 +247,9 @@ def test_box_in_the_left_eye_chooses_the_arm_in_the_right_one(run: Run, made: Pa
     task = session.frames[4], session.frames[4].prompts or Hints()
     found = segment_task(prepare("lnd"), EstimateConfig(), task, rig=session.rig)
     assert found is not None
-    for mask, right in zip(found.masks, (False, True), strict=True):
+    for view, right in zip(found.views, (False, True), strict=True):
         true = arms.coverages(4, right)[arm] > 0.5
-        assert (mask.restored() & true).sum() > 0.95 * (mask.restored() | true).sum()
+        assert (view.mask & true).sum() > 0.95 * (view.mask | true).sum()
 
 
 @pytest.mark.parametrize("arm", ARMS)
