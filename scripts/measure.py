@@ -34,7 +34,6 @@ from measuring.falsified import FALSIFIED, INPUTS
 from measuring.pages import write_pages
 from measuring.pictures import GROUPS, pictures_report
 from measuring.report import SCANNED, SHARED, Report, add_output_options, print_report
-from measuring.runner import LINES
 from measuring.speed import speed_report
 from measuring.tips import tips_report
 
@@ -69,7 +68,7 @@ def _parser() -> argparse.ArgumentParser:
         add_output_options(one)
         return one
 
-    for name in LINES:
+    for name in ("estimate", "calibrate", "track"):
         one = command(name, _accuracy, f"Solve session folders by {name} and compare with the truth.")
         one.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="session folders, or folders of some")
         one.add_argument(

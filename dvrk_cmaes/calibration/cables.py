@@ -140,7 +140,7 @@ def estimate_cables(
     usual
         Standard deviations of readings from frame to frame without corrections.
     offset_std : (1 + J,)
-        Standard deviations of the offsets of roll and the instrument's joints beforehand, rad.
+        Prior standard deviations of the offsets of roll and the instrument's joints, rad.
     margin
         As in `fit_cables`.
     """
@@ -299,7 +299,7 @@ _TABLES = {"coupling", "coupling_std", "play", "play_std", "std"}
 _CERTAIN = 2.0  # standard deviations beyond which a coefficient is described in words,
 _LEAST_COUPLING = 0.03  # if it is at least this, rad a rad,
 _LEAST_PLAY = np.deg2rad(1.0)  # or moves a joint by at least this,
-_DETERMINED = 0.8  # and if its standard deviation is at most this share of the one expected beforehand
+_DETERMINED = 0.8  # and if its standard deviation is at most this share of the prior's
 
 
 @dataclass(frozen=True)
@@ -410,7 +410,7 @@ class SessionCables(Document):
     def in_words(self) -> Iterator[str]:
         """Yield a line for each coefficient that is determined, the largest first.
 
-        One about which the session says no more than is expected beforehand, as of readings that never change, is not.
+        One about which the session says no more than its prior, as of readings that never change, is not.
         """
         count, texts = len(self.joints), list[tuple[float, str]]()
         spread, width = cable_prior(self.joints).spread, np.array(self.width)

@@ -34,7 +34,7 @@ from dvrk_cmaes.silhouette import Body, OutlinePoints
 _SETTLED = 0.25  # standard deviations of the blocks, below which the outlines are not linearised again
 NAMED = 2.5
 """Standard deviations from the value of a file, above which one of several unknowns is named."""
-_BASE_STD = 1.0, 1.0  # m and rad, of the base beforehand, some of which a session may not determine
+_BASE_STD = 1.0, 1.0  # m and rad, of the base's prior, some of which a session may not determine
 
 
 def outline_task(
@@ -146,7 +146,7 @@ class Linearised:
 
     @cached_property
     def covariance(self) -> Float64:
-        """Covariance (K, K) of the solution, where the base is known to a metre and a radian beforehand."""
+        """Covariance (K, K) of the solution, with a prior of the base of a metre and a radian."""
         return self.solution.with_information(weak(len(self.solution.information)))[1]
 
     @property
@@ -167,7 +167,7 @@ class Linearised:
 
     @property
     def information(self) -> Float64:
-        """Information matrix (K, K) of the solution with that of the base beforehand."""
+        """Information matrix (K, K) of the solution with that of the base's prior."""
         return self.solution.information + weak(len(self.solution.information))
 
     def value(self, name: str) -> Float64:
@@ -180,7 +180,7 @@ class Linearised:
         return np.hypot(np.sqrt(own), block.least_std)
 
     def with_std(self, changed: Mapping[str, Float64 | float]) -> tuple[Float64, Float64]:
-        """Return what the last linearisation shows if other standard deviations hold beforehand.
+        """Return what the last linearisation shows if priors have other standard deviations.
 
         Parameters
         ----------

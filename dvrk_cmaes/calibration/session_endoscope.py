@@ -31,7 +31,7 @@ Row = tuple[Number, ...]
 
 UNDETERMINED_ROTATION: Final = np.deg2rad(5.0)
 """Standard deviation, rad, of the base or the camera in the tip, beyond which a session does not determine it."""
-_BEFORE: Final = 0.7  # of the deviations beforehand, from which on an offset is not determined
+_BEFORE: Final = 0.7  # of the prior's deviations, from which on an offset is not determined
 
 
 @dataclass(frozen=True, eq=False)

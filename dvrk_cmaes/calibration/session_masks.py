@@ -34,10 +34,9 @@ _STD = 1.0  # px beforehand
 _CLEAR = 2.5  # standard deviations from zero, and ...
 _LEAST_MARGIN = 0.15  # ... px, beyond which a margin is taken off the masks
 _LEAST_STD = 0.12  # px; margins of parts of one real recording, 0.57 to 1.11, scatter by this beside their errors
-_ON_SIDES = 6  # errors of both sides of the shaft, and of what faces four directions
+_ON_SIDES = MEAN_ERRORS - 1  # errors of both sides of the shaft, and of what faces four directions
 _PASSES = 5  # largest number of linearisations
 _MARGIN_STEPS = 2  # linearisations of the outlines from whole masks to those less the margin
-
 
 _BIAS_STD = 2.0  # px, with which the outlines are linearised
 _LEAST, _OF_MARGIN = 0.1, 0.5
@@ -96,10 +95,10 @@ class MaskBias(SeenBlock):
         The margin that was taken off the masks, px.
     """
 
-    is_linear = (False,) * SIDES + (True,) * (MEAN_ERRORS - 1 - SIDES)
+    is_linear = (False,) * SIDES + (True,) * (_ON_SIDES - SIDES)
 
     def __init__(self, side_px: float = 0.0, margin_px: float = 0.0) -> None:
-        super().__init__(BIAS, np.full(MEAN_ERRORS - 1, _BIAS_STD))
+        super().__init__(BIAS, np.full(_ON_SIDES, _BIAS_STD))
         size = np.linalg.norm([_LEAST, side_px, _OF_MARGIN * margin_px])
         self.margin_px = margin_px
         self.usual_px = float(np.clip(size, _SIZES[0], _SIZES[-1]))
@@ -196,7 +195,7 @@ class SessionMasks(Document):
         for name, count in (("error_squares", 1 + _ON_SIDES), ("by_errors", unknowns)):
             rows = getattr(self, name)
             whole = len(rows) == count and all(len(row) == 1 + _ON_SIDES for row in rows)
-            if (self.error_squares or self.by_errors) and not whole:  # older files have neither
+            if (self.error_squares or self.by_errors) and not whole:  # where nothing was estimated there is neither
                 raise refused(where, f"masks.{name}", f"{count} rows of {1 + _ON_SIDES} numbers", rows)
         if any(row[i] < 0 for i, row in enumerate(self.error_squares)):
             raise refused(where, "masks.error_squares", "no negative mean square", self.error_squares)

@@ -15,6 +15,7 @@ import shutil
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -23,7 +24,7 @@ import numpy as np
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.frames.images import read_mask
-from dvrk_cmaes.instrument import load_instrument
+from dvrk_cmaes.instrument import Instrument, load_instrument
 from dvrk_cmaes.io.atomic import write_json, write_text
 from dvrk_cmaes.io.csv_file import csv_text
 from dvrk_cmaes.io.short_text import shown
@@ -60,7 +61,6 @@ METHODS: Final[Mapping[str, tuple[tuple[TaskName, ...], Command, tuple[str, ...]
 OURS: Final = ("estimate", "calibrate", "track", "track-causal")
 STATED: Final = ("status", "camera_from_root", "joints", "covariance", "std", "seconds")
 """Fields of a row besides its key."""
-_INSTRUMENT: Final = load_instrument("lnd")
 
 
 @dataclass(frozen=True)
@@ -75,6 +75,12 @@ class Given:
     def world(self) -> World:
         """The world."""
         return self.drawn.world
+
+
+@cache
+def _instrument() -> Instrument:
+    """Load the instrument of all worlds."""
+    return load_instrument("lnd")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -210,7 +216,8 @@ def read_submission(path: Path) -> dict[Key, Document]:
         if fields.get("task") not in TASKS or not isinstance(fields.get("world"), int):
             got = shown([fields.get("task"), fields.get("world")])
             raise InputError(f"{where}: task, world: expected one of {', '.join(TASKS)}, and a number, got {got}")
-        asked = _INSTRUMENT.joint_names if fields["task"] != BASE and fields.get("camera_from_root") is not None else ()
+        posed = fields["task"] != BASE and fields.get("camera_from_root") is not None
+        asked = _instrument().joint_names if posed else ()
         if missing := [name for name in asked if name not in fields.get("joints", {})]:
             raise InputError(f"{where}: joints: expected {', '.join(asked)} in rad, got no {missing[0]}")
         key = fields["task"], fields["world"], str(fields.get("frame"))
@@ -249,7 +256,7 @@ def _scored_tasks(
             base = {**own[BASE], "camera_from_base": own[BASE]["camera_from_root"]} if own else None
             frames = [score_base(base, np.array(golden["camera_from_base"]))[0]]
         else:
-            frames = [*scored(_INSTRUMENT, own, golden["frames"], given.world.camera.fx)]
+            frames = [*scored(_instrument(), own, golden["frames"], given.world.camera.fx)]
         out.setdefault(given.task, []).append((given.world, frames))
     return out
 

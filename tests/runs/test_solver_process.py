@@ -94,6 +94,14 @@ def prepared(solver: SolverProcess, tasks: list[KeyframeTask]) -> None:
     wait_for(lambda: solver._last.done())
 
 
+def kept_busy(solver: SolverProcess, process: FakeProcess, tasks: list[KeyframeTask]) -> Future[Any]:
+    """Let the process be at the first of some keyframes until the future that is returned has its answer."""
+    process.busy = True
+    solver.prepare(tasks)
+    wait_for(lambda: bool(process.waiting))
+    return process.waiting.pop()
+
+
 def test_keyframes_are_estimated_ahead_of_their_problem_each_once(solver: tuple[SolverProcess, FakeProcess]) -> None:
     made, process = solver
     for known in (1, 2, 2):
@@ -111,14 +119,12 @@ def test_problem_does_not_wait_for_more_than_one_keyframe_that_is_estimated_ahea
     solver: tuple[SolverProcess, FakeProcess],
 ) -> None:
     made, process = solver
-    process.busy = True
-    made.prepare(TASKS[:4])
-    wait_for(lambda: bool(process.waiting))
+    answer = kept_busy(made, process, TASKS[:4])
     for _ in range(3):
         made.prepare(TASKS[:4])
     found = made.begin(problem(2))
     process.busy = False
-    process.waiting.pop().set_result("result")
+    answer.set_result("result")
     assert found.result(10).keyframes == 1
     prepared(made, TASKS[:4])
     assert process.problems == [{}]
@@ -129,13 +135,11 @@ def test_keyframes_that_others_replace_are_not_estimated_and_forgotten(
     solver: tuple[SolverProcess, FakeProcess],
 ) -> None:
     made, process = solver
-    process.busy = True
-    made.prepare(TASKS[:3])
-    wait_for(lambda: bool(process.waiting))
+    answer = kept_busy(made, process, TASKS[:3])
     for k in range(1, 30):  # of three that are kept, the oldest one is replaced
         made.prepare(TASKS[k : k + 3])
     process.busy = False
-    process.waiting.pop().set_result("result")
+    answer.set_result("result")
     prepared(made, TASKS[29:32])
     assert process.estimated == [NAMES[0], *NAMES[29:32]]
     assert set(made._alone) == set(NAMES[29:32])
@@ -145,11 +149,9 @@ def test_keyframe_that_cannot_be_estimated_ahead_is_left_to_its_problem(
     solver: tuple[SolverProcess, FakeProcess],
 ) -> None:
     made, process = solver
-    process.busy = True
-    made.prepare(TASKS[:1])
-    wait_for(lambda: bool(process.waiting))
+    answer = kept_busy(made, process, TASKS[:1])
     process.busy = False
-    process.waiting.pop().set_exception(ValueError("a fault"))
+    answer.set_exception(ValueError("a fault"))
     prepared(made, TASKS[:1])
     assert made.begin(problem(0)).result(10).keyframes == 1
     assert process.estimated == NAMES[:1]

@@ -38,10 +38,8 @@ BOX = 3.0
 _STEP = 0.5  # first step of NLopt's methods, in the same units
 _LARGE = 1e12  # loss in place of one that is not finite
 _POPULATION = 10  # candidates of CMA-ES in a generation of a start
-_CONTINUING, _LEAST = (
-    0.85,
-    4,
-)  # share of the starts, the best ones, that have another generation, and their least number
+_CONTINUING = 0.85  # share of the starts, the best ones, that have another generation
+_LEAST = 4  # starts that have another generation
 _RUN = 20  # evaluations for each parameter of a run by NLopt, of which there are as many as the budget allows
 
 _importing = threading.Lock()
