@@ -213,7 +213,25 @@ class ArmOutlines(NamedTuple):
     outlines: SessionOutlines
 
 
-def linearise(arms: Sequence[ArmOutlines], solver: Solver, names: Sequence[str], *, passes: int) -> list[Linearised]:
+def with_new_blocks(arms: Sequence[ArmOutlines]) -> list[ArmOutlines]:
+    """Return arms whose calibrations also have the blocks of their outlines, new ones at their start."""
+    news = [[one for one in arm.outlines.blocks if one.name not in arm.calibration.values] for arm in arms]
+    return [arm._replace(calibration=arm.calibration.with_blocks(*new)) for arm, new in zip(arms, news, strict=True)]
+
+
+def linearised_at(arms: Sequence[ArmOutlines]) -> list[FrameFits]:
+    """Linearise the outlines of arms at their poses and the values of their calibrations, errors as `linearise`."""
+    return [arm.outlines.near(arm.at, arm.calibration.values) for arm in arms]
+
+
+def linearise(
+    arms: Sequence[ArmOutlines],
+    solver: Solver,
+    names: Sequence[str],
+    *,
+    passes: int,
+    first: Sequence[FrameFits] | None = None,
+) -> list[Linearised]:
     """Estimate blocks with the calibrations of arms, linearising the outlines until those of some names are settled.
 
     Parameters
@@ -226,17 +244,17 @@ def linearise(arms: Sequence[ArmOutlines], solver: Solver, names: Sequence[str],
         Names of the blocks that have to settle.
     passes
         Largest number of linearisations.
+    first
+        The first linearisation of each arm, where several estimates begin with the same (`linearised_at`).
 
     Raises
     ------
     InputError
         As `SessionOutlines.near`.
     """
-    for k, arm in enumerate(arms := list(arms)):
-        new = [one for one in arm.outlines.blocks if one.name not in arm.calibration.values]
-        arms[k] = arm._replace(calibration=arm.calibration.with_blocks(*new))
+    arms, fits = with_new_blocks(arms), first
     for _ in range(passes):
-        fits = [arm.outlines.near(arm.at, arm.calibration.values) for arm in arms]
+        fits = linearised_at(arms) if fits is None else fits
         models, solutions = solver([ArmFrames(a.model, f, a.calibration) for a, f in zip(arms, fits, strict=True)])
         asked = [tuple(one for one in arm.outlines.blocks if one.name in names) for arm in arms]
         last = list(map(Linearised, models, solutions, fits, asked))
@@ -246,6 +264,7 @@ def linearise(arms: Sequence[ArmOutlines], solver: Solver, names: Sequence[str],
             ArmOutlines(one.model, one.solution.calibration, one.at, arm.outlines)
             for one, arm in zip(last, arms, strict=True)
         ]
+        fits = None
     return last
 
 

@@ -23,11 +23,13 @@ from dvrk_cmaes.calibration.linearise import (
     Linearised,
     SessionOutlines,
     linearise,
+    linearised_at,
+    with_new_blocks,
 )
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.session_masks import BIAS, BiasEstimate, MaskBias, estimate_bias
 from dvrk_cmaes.calibration.session_shaft import SIZES, SessionShaft, usual_sizes
-from dvrk_cmaes.calibration.solve import inverse_information
+from dvrk_cmaes.calibration.solve import FrameFits, inverse_information
 from dvrk_cmaes.calibration.stored_frame import changed
 from dvrk_cmaes.calibration.variances import solve_with_variances
 from dvrk_cmaes.camera import Camera
@@ -305,7 +307,12 @@ def errors_of_camera(check: CameraCheck, camera: Camera, config: CameraConfig) -
 
 
 def estimate_camera(
-    arms: Sequence[ArmOutlines], config: EstimateConfig, *, passes: int, names: Sequence[str] = (CAMERA, SIZES)
+    arms: Sequence[ArmOutlines],
+    config: EstimateConfig,
+    *,
+    passes: int,
+    names: Sequence[str] = (CAMERA, SIZES),
+    first: Sequence[FrameFits] | None = None,
 ) -> list[Linearised]:
     """Estimate the change of the camera with the calibrations of a session's arms.
 
@@ -313,7 +320,7 @@ def estimate_camera(
     ``config`` has the settings of the variance components, which are estimated again with the change.
     """
     solver = partial(solve_with_variances, config=config.session, steps=_STEPS)
-    return linearise(arms, solver, names, passes=passes)
+    return linearise(arms, solver, names, passes=passes, first=first)
 
 
 def _stated(
@@ -353,16 +360,17 @@ def check_camera(
         reason = _NOT_ASKED
     passes = _PASSES if reason is None and applied is None else 1
     try:
-        found = estimate_camera(arms, config, passes=passes)
+        begun = linearised_at(with_new_blocks(arms))
+        found = estimate_camera(arms, config, passes=passes, first=begun)
         if far := passes > 1 and not all(one.plausible for one in found):
-            found = estimate_camera(arms, config, passes=1)
+            found = estimate_camera(arms, config, passes=1, first=begun)
         first = found
         if reason != _NOT_ASKED and applied is None:
             file = CameraChange(file_deviations(arms[0].outlines.camera, config.camera))
             blocks = [tuple(file if one.name == CAMERA else one for one in arm.outlines.blocks) for arm in arms]
             pairs = zip(arms, blocks, strict=True)
             by_file = [arm._replace(outlines=replace(arm.outlines, blocks=own)) for arm, own in pairs]
-            first = estimate_camera(by_file, config, passes=_FILE_PASSES, names=(SIZES, BIAS))
+            first = estimate_camera(by_file, config, passes=_FILE_PASSES, names=(SIZES, BIAS), first=begun)
     except InputError as error:
         return [CameraCheck(None, f"camera: {error}", np.zeros((arm.calibration.alone().own,) * 2)) for arm in arms]
     each = zip(found, first, arms, strict=True)
