@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.session_worlds import in_other_mode, make_frames_in_memory, with_result
+from helpers.session_worlds import Truth, in_other_mode, make_frames_in_memory, tip_mm, with_result
 from helpers.transforms import apply, change_between, moved, rotation_angle
 from scipy.special import chdtri
 
@@ -22,8 +22,6 @@ from dvrk_cmaes import (
     SolvedSession,
     calibrate_session,
 )
-from dvrk_cmaes.evaluate.pose_error import compare_poses
-from dvrk_cmaes.synth.truth import Truth
 
 ROUGH = EstimateConfig()
 """Settings for tests of the checks before the frames' outlines are used: a single alternation."""
@@ -41,11 +39,7 @@ class Made:
     stages: list[tuple[str, int]]
 
     def tip_mm(self, result: Result, index: int) -> float:
-        assert result.camera_from_root is not None
-        truth = (self.truths[index].camera_from_root, self.truths[index].joints)
-        tip = compare_poses(self.body.instrument, (result.camera_from_root, result.joints), truth).tip_mm
-        assert tip is not None
-        return tip
+        return tip_mm(result, self.truths[index])
 
 
 def stray_of(frames: list[SessionFrame], index: int, other: SessionFrame) -> None:

@@ -7,12 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.batch_sessions import QUICK_CONFIG
-from helpers.session_worlds import make_frames_in_memory, true_calibration
+from helpers.session_worlds import Truth, make_frames_in_memory, tip_mm, true_calibration
 from helpers.transforms import change_between, moved
 
 from dvrk_cmaes import Body, FrameData, Result, SessionCalibration, SessionFrame, estimate
-from dvrk_cmaes.evaluate.pose_error import compare_poses
-from dvrk_cmaes.synth.truth import Truth
 
 
 class Known:
@@ -38,11 +36,7 @@ class Known:
         return estimate(data.mask, data.camera, given, self.body, session=session, config=QUICK_CONFIG)
 
     def tip_mm(self, result: Result) -> float:
-        assert result.camera_from_root is not None
-        truth = (self.truth.camera_from_root, self.truth.joints)
-        tip = compare_poses(self.body.instrument, (result.camera_from_root, result.joints), truth).tip_mm
-        assert tip is not None
-        return tip
+        return tip_mm(result, self.truth)
 
 
 @pytest.fixture(scope="module")

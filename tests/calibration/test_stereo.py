@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.session_worlds import SMALL, make_frames_in_memory
+from helpers.session_worlds import SMALL, Truth, make_frames_in_memory
 from helpers.transforms import transform
 
 from dvrk_cmaes import (
@@ -20,7 +20,6 @@ from dvrk_cmaes import (
     calibrate_session,
     estimate,
 )
-from dvrk_cmaes.synth.truth import Truth
 
 RIGHT_FROM_LEFT = transform(np.eye(3), [-0.0053, 0.0, 0.0])
 RIG = Rig.stereo(SMALL, SMALL, RIGHT_FROM_LEFT)

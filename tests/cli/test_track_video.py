@@ -10,14 +10,10 @@ import cv2
 import numpy as np
 import pytest
 from helpers.commands import run_command
-from helpers.files import write_image
+from helpers.files import read_tracks, write_image
 from helpers.made_recordings import ARM, BEGIN, SECOND, camera_info, image, jaw, joints, write_bag
-from helpers.moving_worlds import SMALL, MovingWorld, moving_world
+from helpers.moving_worlds import SMALL, MovingWorld, drawn, moving_world
 
-from dvrk_cmaes import read_session
-from dvrk_cmaes.frames.video_frames import Video
-from dvrk_cmaes.results.track_files import read_tracks
-from dvrk_cmaes.synth.images import draw_image
 
 FRAMES = 6
 CAMERA = f"""image_width: {SMALL.width}
@@ -35,7 +31,7 @@ def world() -> MovingWorld:
 
 @pytest.fixture(scope="module")
 def images(world: MovingWorld) -> list[np.ndarray]:
-    return [draw_image(world.camera, truth, np.random.default_rng(5)) for truth in world.truths[:FRAMES]]
+    return drawn(world, FRAMES)
 
 
 def write_video(path: Path, images: list[np.ndarray]) -> Path:
@@ -86,14 +82,6 @@ def test_video_of_a_session_is_followed(
     film = cv2.VideoCapture(str(tmp_path / "out" / "tracks.mp4"))
     assert film.get(cv2.CAP_PROP_FRAME_COUNT) == FRAMES
     film.release()
-
-
-def test_frames_are_read_in_any_order(images: list[np.ndarray], session: Path) -> None:
-    frames = read_session(session, video=Video(session / "video.mp4")).frames
-    for k in (3, 1, 1, 5):
-        film = frames[k].video
-        assert film is not None
-        assert np.array_equal(film.image(), images[k])
 
 
 def test_readings_of_a_video_may_have_times_alone(

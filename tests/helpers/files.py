@@ -35,6 +35,11 @@ def read_image(path: str | Path) -> np.ndarray:
     return _decoded(path, cv2.IMREAD_COLOR)
 
 
+def read_tracks(path: str | Path) -> list[dict[str, Any]]:
+    """Read the lines of tracks.jsonl."""
+    return [json.loads(line) for line in Path(path).read_text(encoding="utf-8").splitlines()]
+
+
 def read_mask(path: str | Path) -> np.ndarray:
     """Read a mask (H, W) bool: pixels above 127 are instrument."""
     return _decoded(path, cv2.IMREAD_GRAYSCALE) > 127

@@ -8,11 +8,10 @@ from functools import cache
 
 import numpy as np
 
-from dvrk_cmaes import Body, Camera, EstimateConfig, Rig, Tracker, TrackResult, prepare
+from dvrk_cmaes import Body, Camera, Tracker, TrackResult, prepare
+from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.synth.moving_arm import FRAMES_A_SECOND, MotionLevel, moving_arm, read_moving
 from dvrk_cmaes.synth.truth import Truth, exact_mask
-from dvrk_cmaes.track.follower import Followed
-from dvrk_cmaes.track.view_segmenter import ViewSegmenter
 from helpers.transforms import moved
 
 SMALL = Camera(320, 240, 513, 513, 161, 119)
@@ -72,7 +71,6 @@ def moving_world(frames: int = 40, seed: int = 3, level: MotionLevel = OFFSETS_O
     return MovingWorld(body, SMALL, base, truths, [exact_mask(body, SMALL, truth) for truth in truths], readings)
 
 
-def followed(world: MovingWorld, config: EstimateConfig) -> Followed:
-    """Return what a tracker of a world follows."""
-    rig = Rig.of(world.camera)
-    return Followed(rig, world.body, "classic", config, ViewSegmenter(rig, world.body, config.track, None, None))
+def drawn(world: MovingWorld, frames: int) -> list[np.ndarray]:
+    """Draw images of the first frames, before tissue."""
+    return [draw_image(world.camera, truth, np.random.default_rng(5)) for truth in world.truths[:frames]]

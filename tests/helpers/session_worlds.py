@@ -147,6 +147,12 @@ def near_the_truth(
     )
 
 
+def tip_mm(result: Result, truth: Truth) -> float:
+    """Give the mean distance of the tips of a result from their true positions, mm."""
+    assert len(result.tips) == 2
+    return 1e3 * float(np.linalg.norm(np.array(result.tips) - truth.tips, axis=1).mean())
+
+
 def in_other_mode(frame: SessionFrame) -> SessionFrame:
     """Return the frame with its result and its first alternative exchanged."""
     result = frame.result

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import shutil
+import signal
+import threading
+import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,13 +18,14 @@ import numpy as np
 import pytest
 
 from dvrk_cmaes import Tracker, prepare, read_calibration, read_camera, read_session
-from promises.program import OUT, Kept, distance, matrix, median, run, synth, tip_errors, tracks, truth
+from promises.program import DEMO, OUT, Kept, content, distance, matrix, median, run, synth, tip_errors, tracks, truth
 
 VIDEO = ("--motion", "video", "--level", "easy", "--no-images")
 ONE = (*VIDEO, "--frames", 40, "--seed", 5, "--lag", "2frames")
 STEERED = (*VIDEO, "--frames", 48, "--seed", 7, "--ecm")
 PAIR = (*VIDEO, "--frames", 20, "--seed", 3, "--arms", 2, "--stereo")
 IMAGES = ("--motion", "video", "--level", "easy", "--frames", 16, "--seed", 8)
+POSTURES = ("--level", "easy", "--frames", 14, "--seed", 5)
 PLAIN = ("--no-video", "--no-page")
 
 
@@ -102,12 +107,34 @@ def test_instrument_is_lost_and_found_again(kept: Kept, tmp_path: Path) -> None:
     for k in range(20, 26):
         path = tmp_path / "gap" / "masks" / f"{k:04d}.png"
         cv2.imwrite(str(path), np.zeros((240, 320), np.uint8))
-    run("track", tmp_path / "gap", "--session", calibration, "--causal", "--out", tmp_path / "out", *PLAIN)
+    ran = run("track", tmp_path / "gap", "--session", calibration, "--causal", "--out", tmp_path / "out", *PLAIN)
     found, true = tracks(tmp_path / "out"), truth(session)
     assert {found[f"{k:04d}"]["status"] for k in range(20, 26)} == {"lost"}
     assert all(found[f"{k:04d}"]["reasons"] for k in range(20, 26))
+    assert "6 frames (0020 to 0025)" in ran.out
     after = [f"{k:04d}" for k in range(32, 40)]
     assert check(found, true, frames=after) < 1.5
+
+
+def test_images_of_something_else_are_not_ok_and_no_keyframes(kept: Kept, tmp_path: Path, quick: Path) -> None:
+    session = synth(kept, *POSTURES)
+    shutil.copytree(session, tmp_path / "session")
+    tissue = cv2.GaussianBlur(np.random.default_rng(1).normal(size=(240, 320, 3)), (0, 0), 5)
+    gone = np.clip(np.array([60, 65, 150]) + 60 * tissue, 0, 255).astype(np.uint8)
+    other = cv2.line(gone.copy(), (40, 0), (200, 239), (96, 98, 95), 34)  # the shaft of another instrument
+    for frame, image in (("0005", gone), ("0009", other)):
+        cv2.imwrite(str(tmp_path / "session" / "images" / f"{frame}.png"), image)
+    words = ("--evidence", "images", "--config", quick, "--workers", 1, *PLAIN)
+    assert run("track", tmp_path / "session", "--out", tmp_path / "out", *words).code == 3
+    found = tracks(tmp_path / "out")
+    check(found, truth(session))
+    assert found["0005"]["status"] == "lost"
+    assert found["0005"]["reasons"] == ["lost: the image shows nothing of the instrument"]
+    assert found["0009"]["status"] in ("doubtful", "lost")
+    assert sum(row["status"] == "ok" for row in found.values()) >= 5
+    used = json.loads((tmp_path / "out" / "session.json").read_text())["frames"]
+    assert len(used) >= 10
+    assert not {"0005", "0009"} & {*used}
 
 
 def test_recording_of_images_alone_is_followed(kept: Kept, tmp_path: Path) -> None:
@@ -142,6 +169,32 @@ def test_two_arms_are_followed_by_both_eyes(kept: Kept) -> None:
     assert distance(found_base, np.linalg.inv(bases[0]) @ bases[1]) < (15.0, 8.0)
 
 
+def test_base_of_an_arm_is_exported(kept: Kept) -> None:
+    folder = kept("track", synth(kept, *PAIR), "--out", OUT, *PLAIN).folder
+    assert "PSM2_base" in run("export", folder, "--to", "tf", "--arm", "PSM2").out
+
+
+def test_one_arm_can_be_chosen(kept: Kept, tmp_path: Path, quick: Path) -> None:
+    words = ("--config", quick, "--only", "PSM2", "--lag", "0", "--every", "10", "--workers", 1, *PLAIN)
+    assert run("track", synth(kept, *PAIR), "--out", tmp_path / "out", *words).code in (0, 3)
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["PSM2", "run.json"]
+    assert list(tracks(tmp_path / "out" / "PSM2")) == ["0000", "0010"]
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("--first-mask", "a.png"), "--first-mask: expected one arm (--only ARM), got a session of several"),
+        (("--box", "1,2,30,40"), "--box, --point: expected one arm (--only ARM)"),
+        (("--joints", DEMO / "joints.csv"), "--joints FILE: expected one arm (--only ARM)"),
+        (("--session", "session.json"), "--session: expected the folder that calibrate wrote, with a session.json for"),
+        (("--only", "PSM3"), "arm: expected one of"),
+    ],
+)
+def test_options_of_one_arm_are_refused(kept: Kept, tmp_path: Path, words: tuple[object, ...], expected: str) -> None:
+    assert run("track", synth(kept, *PAIR), "--out", tmp_path / "out", *words).refusal.startswith(expected)
+
+
 def test_steered_endoscope_has_a_base_in_each_place(kept: Kept) -> None:
     session = synth(kept, *STEERED)
     out = kept("track", session, "--out", OUT, *PLAIN).folder
@@ -170,6 +223,60 @@ def test_tracker_in_python_follows_as_the_command_does(kept: Kept) -> None:
             errors.append(np.linalg.norm(result.tips - true[files.name]["tips_camera_m"], axis=1).max() * 1e3)
     assert len(errors) > 20
     assert median(errors) < 1.5
+
+
+@pytest.fixture
+def short(kept: Kept) -> tuple[object, ...]:
+    """The words that follow some frames of a recording, which are too few to know the base."""
+    return "track", synth(kept, *ONE), "--every", 5, "--lag", 0, *PLAIN
+
+
+def test_interrupted_run_begins_anew_with_the_same_results(
+    kept: Kept, short: tuple[object, ...], tmp_path: Path
+) -> None:
+    lines = tmp_path / "out" / "tracks.jsonl"
+
+    def interrupt() -> None:
+        while not lines.exists() or lines.read_bytes().count(b"\n") < 3:
+            time.sleep(0.01)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    watch = threading.Thread(target=interrupt, daemon=True)
+    watch.start()
+    assert run(*short, "--out", tmp_path / "out", "--workers", 1).code == 130
+    watch.join()
+    assert 3 <= len(tracks(tmp_path / "out")) < 8
+    with open(lines, "a", encoding="utf-8") as file:
+        file.write('{"frame": "00')  # as if the process was killed while writing
+    ran, whole = run(*short, "--out", tmp_path / "out", "--workers", 1), kept(*short, "--out", OUT)
+    assert "followed from image to image, as by --causal: 8 frames are well in view" in ran.err
+    found, expected = tracks(tmp_path / "out"), tracks(whole.folder)
+    for row in (*found.values(), *expected.values()):
+        del row["seconds"]
+    assert found == expected
+
+
+def test_finished_recording_is_not_followed_again_and_not_mixed_with_other_settings(
+    kept: Kept, short: tuple[object, ...], tmp_path: Path
+) -> None:
+    shutil.copytree(kept(*short, "--out", OUT).folder, tmp_path / "out")
+    before = content(tmp_path / "out")
+    assert not {"tracks.mp4", "report.html"} & {*before}
+    again = run(*short, "--out", tmp_path / "out", "--workers", 1)
+    assert (again.code, again.err) == (3, "")
+    assert "track.lag: 0.0 -> 0.1" in run(*short, "--lag", 0.1, "--out", tmp_path / "out").refusal
+    assert content(tmp_path / "out")["tracks.jsonl"] == before["tracks.jsonl"]
+
+
+def test_doubtful_calibration_makes_all_frames_doubtful(kept: Kept, short: tuple[object, ...], tmp_path: Path) -> None:
+    document = json.loads((kept("track", short[1], "--out", OUT).folder / "session.json").read_text())
+    doubt = "the camera file is contradicted"
+    (tmp_path / "session.json").write_text(json.dumps(document | {"status": "doubtful", "doubts": [doubt]}))
+    run(*short, "--session", tmp_path / "session.json", "--out", tmp_path / "out", "--workers", 1)
+    found = tracks(tmp_path / "out")
+    check(found, truth(Path(str(short[1]))))
+    assert not any(row["status"] == "ok" for row in found.values())
+    assert {row["reasons"][0] for row in found.values()} == {f"session: {doubt}"}
 
 
 def test_same_input_gives_the_same_tracks(kept: Kept, tmp_path: Path) -> None:

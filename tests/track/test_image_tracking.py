@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers.moving_worlds import MovingWorld, moving_world
+from helpers.moving_worlds import MovingWorld, drawn, moving_world
 
 from dvrk_cmaes import Result, Rig, Tracker, TrackResult, estimate
 from dvrk_cmaes.segment.segmentation import Hints
-from dvrk_cmaes.synth.images import draw_image
 
 FRAMES = 20
 
@@ -21,7 +20,7 @@ def world() -> MovingWorld:
 @pytest.fixture(scope="module")
 def images(world: MovingWorld) -> list[np.ndarray]:
     """The images of the first frames, with the same tissue in all."""
-    return [draw_image(world.camera, truth, np.random.default_rng(5)) for truth in world.truths[:FRAMES]]
+    return drawn(world, FRAMES)
 
 
 @pytest.fixture(scope="module")

@@ -10,10 +10,9 @@ import pytest
 from helpers.moving_worlds import MovingWorld, moving_world
 
 from dvrk_cmaes import EstimateConfig, SessionCalibration, Solution, Tracker, TrackResult
-from dvrk_cmaes.config import TrustConfig
-from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 
-CONFIG = EstimateConfig(trust=TrustConfig(tip_mm=3.0))
+OUTER_JOINTS = ("yaw", "pitch", "insertion", "roll")
+CONFIG = replace(EstimateConfig(), trust=replace(EstimateConfig().trust, tip_mm=3.0))
 """Settings for small images, which tell less about the depth."""
 
 

@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from helpers.moving_worlds import SMALL, MovingWorld, moving_world
+from helpers.moving_worlds import SMALL, MovingWorld, Truth, exact_mask, moving_world
 from helpers.transforms import transform
 
 from dvrk_cmaes import Camera, InputError, Result, Rig, Tracker, TrackResult, estimate
-from dvrk_cmaes.synth.truth import Truth, exact_mask
 
 FRAMES = 24
 RIGHT = Camera(400, 300, 620, 640, 190, 152)

@@ -8,11 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.moving_worlds import MovingWorld, moving_world
+from helpers.moving_worlds import MovingWorld, exact_mask, moving_world
 from helpers.transforms import moved
 
 from dvrk_cmaes import EstimateConfig, InputError, Result, Tracker, TrackResult, estimate
-from dvrk_cmaes.synth.truth import exact_mask
 
 
 @pytest.fixture(scope="module")
