@@ -14,7 +14,6 @@ from helpers.files import read_tracks, write_image
 from helpers.made_recordings import ARM, BEGIN, SECOND, camera_info, image, jaw, joints, write_bag
 from helpers.moving_worlds import SMALL, MovingWorld, drawn, moving_world
 
-
 FRAMES = 6
 CAMERA = f"""image_width: {SMALL.width}
 image_height: {SMALL.height}
