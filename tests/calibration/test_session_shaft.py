@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from helpers.resized import with_shaft, with_size
 from helpers.session_worlds import SMALL, make_frames_in_memory
 
-from dvrk_cmaes import Body, calibrate_session
-from dvrk_cmaes.calibration.session_shaft import SessionShaft
-from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.silhouette import Renderer
-from dvrk_cmaes.synth.masks import SLIGHT, simulate_segmentation
+from dvrk_cmaes import Body, FrameData, Renderer, calibrate_session
 
 
 @pytest.mark.parametrize("scale", [1.0, 1.2, 0.8])
@@ -38,26 +33,16 @@ def test_another_radius_is_a_doubt_and_the_right_one_is_none(bundled_body: Body,
 def test_whole_instrument_that_is_larger_is_found_and_is_a_doubt(bundled_body: Body) -> None:
     """Outlines that are linearised at the model's size alone show a fraction of it, as those far off are outliers."""
     _, truths, frames = make_frames_in_memory(bundled_body, 8, level="clean")
-    renderer, seen, rng = Renderer(with_size(bundled_body, 1.05), SMALL), [], np.random.default_rng(1)
+    renderer, seen = Renderer(with_size(bundled_body, 1.05), SMALL), []
     for frame, truth in zip(frames, truths, strict=True):
         (mask,) = renderer.masks(truth.camera_from_root[None], truth.values[None])
         assert frame.result.camera_from_root is not None
         pose = frame.result.camera_from_root.copy()
         pose[:3, 3] /= 1.05
         result = replace(frame.result, camera_from_root=pose)
-        data = FrameData.of(simulate_segmentation(mask, rng, SLIGHT).mask, SMALL)
+        data = FrameData.of(mask, SMALL)
         seen.append(replace(frame, data=data, result=result))
     found = calibrate_session(seen, bundled_body).calibration
     assert found.shaft is not None
     assert abs(found.shaft.whole_scale - 1.05) < 3 * found.shaft.std_whole_scale < 0.05
-    assert any("all of it is" in doubt for doubt in found.doubts)
-
-
-def test_doubt_says_by_how_much() -> None:
-    assert SessionShaft(1.015, 0.001, 1.03, 0.01, 0.97, 0.005, 1.019, 0.005).contradictions() == []
-    assert SessionShaft(0.6, 0.2, 0.5, 0.2, 1.5, 0.2, 1.05, 0.02).contradictions() == []
-    shaft, wrist, jaws, whole = SessionShaft(0.63, 0.02, 1.15, 0.03, 2.0, 0.1, 1.05, 0.01).contradictions()
-    assert "all of it is 5 % (std 1) larger than the instrument's" in whole
-    assert "the shaft is 37 % (std 2) thinner than the instrument's" in shaft
-    assert "the length from the wrist's to the jaws' axis is 15 % (std 3) longer" in wrist
-    assert "the jaws are 100 % (std 10) longer" in jaws
+    assert any("all of it is 5 % (std " in doubt for doubt in found.doubts)

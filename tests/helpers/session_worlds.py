@@ -1,9 +1,9 @@
-"""Sessions in memory with known truth, for tests of calibration: with outlines as Gaussian fits or as masks."""
+"""Sessions in memory with known truth, for tests of calibration: as masks."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -12,28 +12,16 @@ import cv2
 import numpy as np
 
 from dvrk_cmaes import Body, Camera, EstimateConfig, FrameData, Instrument, Result, SessionCalibration, SessionFrame
-from dvrk_cmaes.calibration.blocks import BASE_AXES, Calibration
-from dvrk_cmaes.calibration.consensus import Mode
-from dvrk_cmaes.calibration.model import Deviations, SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits
+from dvrk_cmaes.calibration.blocks import BASE_AXES
+from dvrk_cmaes.calibration.model import Deviations
 from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.config import SessionConfig
-from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.results.result import Alternative, Quality
 from dvrk_cmaes.synth.levels import LEVELS, LevelName
 from dvrk_cmaes.synth.session import SessionPlan, make_frames, make_truths
 from dvrk_cmaes.synth.truth import Truth
 from helpers.files import write_json
 from helpers.transforms import moved
-
-NAMES = ("wrist_pitch", "wrist_yaw", "jaw")
-BASE = moved(np.eye(4), [0.07, -0.07, 0.055, 0.9, 1.8, -0.4])
-OFFSETS = np.array([0.3e-3, *np.deg2rad([6.0, -9.0, 4.0, 12.0])])
-"""True offsets of insertion, roll, wrist pitch, wrist yaw and jaw."""
-
-EXPECTED_OFFSETS = np.array([0.5e-3, *np.deg2rad([20.0, 20.0, 20.0, 30.0])])
-"""Standard deviations of the offsets' priors."""
 
 SEEN = np.array([2e-4, 2e-4, 6e-4, *np.deg2rad([0.3, 0.3, 3.0]), *np.deg2rad([2.0, 2.0, 2.0])])
 """Standard deviations of a pose and joints estimated from an outline, in the root's axes."""
@@ -45,45 +33,6 @@ _COLUMNS = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw", "ja
 
 SMALL = Camera(320, 240, 513, 513, 161, 119)
 """The synthetic sessions' camera at a reduced resolution."""
-
-
-@dataclass(frozen=True, eq=False)
-class World:
-    """A session without images: readings, constants, and where the instrument truly is in each of N frames."""
-
-    model: SessionModel
-    truth: Calibration
-    at: Posed
-
-    def fits(self, rng: np.random.Generator, scale: float = 1.0) -> FrameFits:
-        """Sample fits of outlines about the truth, with ``scale`` times the usual standard deviations."""
-        count, size = len(self.at), 6 + len(NAMES)
-        off = rng.standard_normal((count, size)) * SEEN * scale
-        information = np.tile(np.diag((SEEN * scale) ** -2.0), (count, 1, 1))
-        return FrameFits(self.at.moved(off), Quadratic(information, np.zeros((count, size))))
-
-    def modes(self, rng: np.random.Generator) -> list[list[Mode]]:
-        """Sample one mode for each frame about the truth, with its stated covariance."""
-        fits = self.fits(rng)
-        covariance = np.diag(SEEN**2)
-        return [[Mode(fits.at[k], covariance)] for k in range(len(fits.at))]
-
-
-def make_world(
-    frames: int = 10, seed: int = 0, *, turning: float = 0.25, noise: float = 1.0, offsets: np.ndarray = OFFSETS
-) -> World:
-    """Move an arm by up to ``turning``, rad; readings have offsets and ``noise`` times their standard deviations."""
-    rng = np.random.default_rng(seed)
-    spreads = Deviations.of(SessionConfig(), NAMES)
-    outer = np.column_stack(
-        [rng.uniform(-turning, turning, (frames, 2)), rng.uniform(0.1, 0.17, frames), rng.uniform(-2, 2, frames)]
-    )
-    joints = rng.uniform(-0.7, 0.7, (frames, 3)) + np.array([0, 0, 0.8])
-    truth = Calibration.of(BASE, offsets, EXPECTED_OFFSETS)
-    moving = outer + noise * rng.standard_normal(outer.shape) * spreads.outer
-    bending = joints + noise * rng.standard_normal(joints.shape) * spreads.joints
-    model = SessionModel(outer, joints, NAMES, spreads, offset_std=EXPECTED_OFFSETS)
-    return World(model, truth, SessionModel(moving, bending, NAMES, spreads).predict(truth))
 
 
 def make_frames_in_memory(

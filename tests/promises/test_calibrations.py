@@ -8,8 +8,9 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pytest
 
-from dvrk_cmaes import read_calibration, read_session
+from dvrk_cmaes import InputError, read_calibration, read_session
 from promises.program import DEMO, OUT, Kept, distance, matrix, median, results, run, synth, tip_errors, truth
 
 EASY = ("--level", "easy", "--frames", 8, "--seed", 5, "--no-images")
@@ -78,11 +79,25 @@ def test_wrong_frame_is_left_out_by_name_and_the_base_stays(kept: Kept, tmp_path
     assert np.abs(deviations(tmp_path / "out" / "session.json", tmp_path / "session")).max() < 3.5
 
 
+def with_camera(session: Path, folder: Path, pattern: str, other: str) -> Path:
+    """Copy a session with another camera file."""
+    shutil.copytree(session, folder)
+    text, count = re.subn(pattern, other, (folder / "camera.yaml").read_text())
+    assert count > 0
+    (folder / "camera.yaml").write_text(text)
+    return folder
+
+
+def test_centre_of_another_image_is_doubted_with_its_direction(kept: Kept, tmp_path: Path) -> None:
+    session = with_camera(synth(kept, *EASY), tmp_path / "session", r"\b163(\.0)?\b", "213.0")
+    run("calibrate", session, "--out", tmp_path / "out", "--workers", 1)
+    document = json.loads((tmp_path / "out" / "session.json").read_text())
+    (doubt,) = [doubt for doubt in document["doubts"] if "camera file is contradicted" in doubt]
+    assert re.search(r"a principal point \d+ px \(std \d+\) left", doubt), doubt
+
+
 def test_camera_of_another_zoom_is_doubted_and_so_is_all_that_rests_on_it(kept: Kept, tmp_path: Path) -> None:
-    session = tmp_path / "session"
-    shutil.copytree(synth(kept, *EASY), session)
-    text = (session / "camera.yaml").read_text()
-    (session / "camera.yaml").write_text(re.sub(r"5(21\.3|19(\.0)?)\b", lambda m: f"4{m[1]}", text))
+    session = with_camera(synth(kept, *EASY), tmp_path / "session", r"5(21\.3|19(\.0)?)\b", r"4\1")
     ran = run("calibrate", session, "--out", tmp_path / "out", "--workers", 1)
     document = json.loads((tmp_path / "out" / "session.json").read_text())
     assert (ran.code, document["status"]) == (3, "doubtful")
@@ -114,7 +129,7 @@ def test_calibration_is_read_and_written_in_python(kept: Kept) -> None:
     calibration = read_calibration(path)
     document = json.loads(path.read_text())
     np.testing.assert_allclose(calibration.camera_from_base, matrix(document, "camera_from_base"), atol=1e-12)
-    assert calibration.to_dict()["offsets"] == document["offsets"]
+    assert json.loads(json.dumps(calibration.to_dict())) == document
 
 
 def test_two_arms_are_calibrated_each_and_to_each_other(kept: Kept) -> None:
@@ -137,3 +152,49 @@ def test_session_without_outer_joints_cannot_be_calibrated(tmp_path: Path, quick
     words = ("calibrate", tmp_path / "session", "--out", tmp_path / "out", "--config", quick, "--workers", 1)
     assert "yaw" in run(*words).refusal
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "expected"),
+    [
+        ("camera_from_base", None, "camera_from_base: expected 4 rows of 4 finite numbers, got nothing"),
+        ("camera_from_base", [[1, 0, 0, 0]] * 4, "camera_from_base: expected a rotation and a translation"),
+        ("offsets.jaw", "far", "offsets.jaw: expected a finite number, got 'far'"),
+        ("covariance.matrix", [[1.0]], "covariance.matrix: expected 11 rows of 11 finite numbers, no negative"),
+        ("covariance.given_camera", [[1.0]], "covariance.given_camera: expected 11 rows of 11 finite numbers"),
+        ("covariance.axes", ["tx"], "covariance.axes: expected tx, ty, tz, rx, ry, rz, insertion, roll, wrist_pitch"),
+        ("schema", 2, "schema: expected 3, got 2; calibrate again: dvrk-cmaes calibrate FOLDER"),
+        ("lag", {"applied": True}, "lag: expected frames or seconds, got {'applied': True}"),
+        ("spreads.roll", 0.0, "spreads.roll: expected a number above 0, got 0.0"),
+        ("covariance", [], "covariance: expected an object, got []"),
+        ("iou", "high", "iou: expected a finite number, got 'high'"),
+        ("arm", "xi", "arm: expected one of si, classic, got 'xi'"),
+        ("left_out", ["0001"], "left_out: expected an object, got ['0001']"),
+        ("leave_one_out.0000", 1, "leave_one_out.0000: expected an object, got 1"),
+        ("frames", "0000", "frames: expected a list of texts, got '0000'"),
+        ("seed", -1, "seed: expected a whole number of at least 0, got -1"),
+        ("config", [1], "config: expected an object, got [1]"),
+    ],
+)
+def test_damaged_calibration_is_refused_by_its_field(
+    kept: Kept, tmp_path: Path, place: str, value: object, expected: str
+) -> None:
+    path = kept("calibrate", synth(kept, *EASY), "--out", OUT).folder / "session.json"
+    document = json.loads(path.read_text())
+    *outer, name = place.split(".")
+    inner = document
+    for key in outer:
+        inner = inner[key]
+    inner[name] = value
+    (tmp_path / "session.json").write_text(json.dumps(document))
+    with pytest.raises(InputError) as caught:
+        read_calibration(tmp_path / "session.json")
+    assert str(caught.value).startswith(f"{tmp_path / 'session.json'}: {expected}")
+
+
+def test_calibration_of_other_joints_is_refused(kept: Kept, tmp_path: Path) -> None:
+    path = kept("calibrate", synth(kept, *EASY), "--out", OUT).folder / "session.json"
+    text = path.read_text().replace("wrist_pitch", "elbow")
+    (tmp_path / "session.json").write_text(text)
+    words = ("batch", synth(kept, *EASY), "--session", tmp_path / "session.json", "--out", tmp_path / "out")
+    assert "offsets: expected those of insertion, roll, wrist_pitch" in run(*words, "--workers", 1).refusal

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
 from pathlib import Path
 
 import cv2
@@ -13,6 +14,7 @@ from dvrk_cmaes import (
     EstimateConfig,
     InputError,
     Renderer,
+    Result,
     Rig,
     ToolInFrame,
     estimate,
@@ -140,6 +142,25 @@ def test_missing_reading_is_unknown_and_no_readings_are_doubtful(kept: Kept) -> 
         turned = [distance(matrix(one, "camera_from_root"), matrix(true, "T_camera_roll_link"))[1] for one in twins]
         assert min(turned) < 3.0  # the truth is the pose or its mirror twin
         assert any("mirror twin" in one.get("relation", "") for one in twins)
+
+
+def test_errors_of_the_camera_file_count_where_it_is_metres_that_are_stated(kept: Kept) -> None:
+    mask, camera, readings = by_hand(synth(kept, *FREE), "0001")
+
+    def of_file(focal_length: float, size: float) -> Result:
+        exact = {field.name: 0.0 for field in fields(EstimateConfig().camera)}
+        percent = {"focal_length_percent": focal_length, "instrument_size_percent": size}
+        errors = replace(EstimateConfig().camera, **(exact | percent))
+        return estimate(mask, camera, readings, BODY, config=replace(EstimateConfig(), camera=errors))
+
+    right, long, large = of_file(0.0, 0.0), of_file(5.0, 0.0), of_file(0.0, 5.0)
+    far = float(np.mean(right.tips, axis=0)[2])
+    for wrong in (long, large):
+        np.testing.assert_allclose(wrong.covariance, right.covariance)
+        moved = np.sqrt(wrong.expected_error.tip_mm["mean"] ** 2 - right.expected_error.tip_mm["mean"] ** 2)
+        assert moved == pytest.approx(0.05 * far * 1e3, rel=0.15)
+        assert wrong.tip_probability < right.tip_probability
+    assert estimate(mask, camera, readings, BODY).to_dict()["std"]["tip_90_mm"] > right.to_dict()["std"]["tip_90_mm"]
 
 
 def test_keypoints_and_ignored_pixels_count_as_stated(kept: Kept) -> None:
