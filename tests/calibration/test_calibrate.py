@@ -71,6 +71,16 @@ def made(bundled_body: Body) -> Made:
 # the calibration
 
 
+def test_frames_near_each_other_in_time_tell_less_as_their_masks_err_alike(bundled_body: Body) -> None:
+    frames = make_frames_in_memory(bundled_body, 8)[2]
+
+    def std(interval: float) -> np.ndarray:
+        timed = [replace(frame, time=k * interval) for k, frame in enumerate(frames)]
+        return np.sqrt(np.diag(calibrate_session(timed, bundled_body).calibration.covariance)[:6])
+
+    assert (std(0.03) > 1.4 * std(3.0)).all()
+
+
 def test_offsets_agree_with_mean_reading_errors(made: Made) -> None:
     calibration = made.solved.calibration
     std = dict(zip(calibration.offsets, np.sqrt(np.diag(calibration.covariance))[6:], strict=True))

@@ -5,11 +5,9 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from helpers.batch_sessions import QUICK
@@ -17,12 +15,8 @@ from helpers.commands import Ran, run_command
 from helpers.places import ROOT
 from helpers.printed_blocks import blocks, printed_parts, words
 from helpers.session_worlds import SMALL, make_frames_in_memory, write_folder
-from helpers.transforms import transform
 
-from dvrk_cmaes import Body, Renderer, SolvedSession, read_calibration, read_results
-from dvrk_cmaes.camera.files import read_camera_file
-from dvrk_cmaes.camera.ros import write_camera_info
-from dvrk_cmaes.cli.calibrate import _lines
+from dvrk_cmaes import Body, read_calibration, read_camera, read_results
 
 pytestmark = pytest.mark.usefixtures("tasks_here")
 
@@ -60,16 +54,6 @@ def calibrated(place: Path) -> Path:
     assert main([str(one) for one in ("calibrate", place / "session", "--workers", "1", *options)]) == 0
     assert {path: path.read_bytes() for path in (place / "results").rglob("*") if path.is_file()} == before
     return place / "calibrated"
-
-
-def test_doubtful_frames_are_named(calibrated: Path) -> None:
-    folder = read_results(calibrated)
-    name, *_ = folder.frames
-    doubtful = {name: replace(folder.frames[name], status="doubtful", reasons=("mode in doubt", "tips not accurate"))}
-    solved = SolvedSession(read_calibration(calibrated / "session.json"), {**folder.frames, **doubtful}, {})
-    lines = [line.text for line in _lines(solved, calibrated)]
-    assert f"  mode in doubt: 1 frame ({name})" in lines
-    assert f"1 of {len(folder.frames)} frames are doubtful" in lines
 
 
 @pytest.mark.usefixtures("own_processes")
@@ -141,7 +125,7 @@ def test_refined_camera_is_written_and_stated(command: Command, bundled_body: Bo
     found = read_calibration(tmp_path / "out" / "session.json")
     assert found.camera is not None
     assert found.camera.applied
-    written = read_camera_file(tmp_path / "out" / "camera.yaml").camera
+    written = read_camera(tmp_path / "out" / "camera.yaml")
     right = found.corrected(SMALL)
     assert (written.fx, written.cx, written.cy) == pytest.approx((right.fx, right.cx, right.cy), abs=1e-4)
     assert written.fx == pytest.approx(SMALL.fx, rel=0.03)
@@ -161,7 +145,7 @@ def test_camera_without_a_file_is_found(command: Command, bundled_body: Body, tm
     said = [" ".join(words(text)) for text in (ran.err, ran.out)]
     assert warning in said[0]
     assert camera in said[1]
-    written = read_camera_file(tmp_path / "out" / "camera.yaml").camera
+    written = read_camera(tmp_path / "out" / "camera.yaml")
     calibration = read_calibration(tmp_path / "out" / "session.json")
     assert calibration.camera is not None
     assert abs(np.log(written.fx / SMALL.fx)) < 3 * calibration.camera.std_focal_scale
@@ -180,32 +164,6 @@ def test_camera_is_not_guessed_beside_a_file_or_from_few_frames(command: Command
     assert text == "--focal: expected a focal length of 96 to 1920 px, 0.3 to 6 widths of the images, got 5"
     text = refusal(command, "session", "--focal", "500", *options)
     assert text.startswith("--camera: expected a camera file, which these frames do not replace: camera: 5 frames; ")
-
-
-def test_both_eyes_are_calibrated_and_drawn_beside_each_other(
-    command: Command, bundled_body: Body, tmp_path: Path
-) -> None:
-    folder, baseline = tmp_path / "session", 0.0053
-    _, truths, frames = make_frames_in_memory(bundled_body, 4, level="clean")
-    write_folder(folder, frames)
-    for side, name in (("left", "left.yaml"), ("right", "right.yaml")):
-        write_camera_info(folder / name, SMALL, side, baseline=baseline if side == "right" else 0.0)
-    (folder / "camera.yaml").unlink()
-    (folder / "masks").rename(folder / "masks_")
-    (folder / "masks").mkdir()
-    (folder / "masks_").rename(folder / "masks" / "left")
-    (folder / "masks" / "right").mkdir()
-    renderer = Renderer(bundled_body, SMALL, threads=1)
-    for frame, truth in zip(frames[1:], truths[1:], strict=True):  # the first frame is seen by the left eye alone
-        pose = transform(np.eye(3), [-baseline, 0, 0]) @ truth.camera_from_root
-        seen = renderer.masks(pose[None], truth.values[None])[0].astype(np.uint8) * 255
-        (folder / "masks" / "right" / f"{frame.name}.png").write_bytes(cv2.imencode(".png", seen)[1].tobytes())
-    ran = command("calibrate", folder, "--results", tmp_path / "results", "--out", tmp_path / "out", *QUICKLY)
-    assert ran.code in (0, 3), ran.err
-    assert read_calibration(tmp_path / "out" / "session.json").left_out == {}
-    for folder_of in ("overlays", "overlays_left_out"):
-        alone, both = (cv2.imread(str(tmp_path / "out" / folder_of / f"000{k}.jpg")) for k in (0, 1))
-        assert both.shape[1] == 2 * alone.shape[1]
 
 
 @pytest.mark.parametrize(

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from helpers.batch_sessions import QUICK
 from helpers.commands import run_command
+from helpers.done_once import found_by_model
 from helpers.drawn_tools import draw_tool
 from helpers.files import read_mask, write_image
 from helpers.places import bundled_path
 from helpers.sam2_graphs import TOOL, write_export
 
 from dvrk_cmaes import read_session
-from dvrk_cmaes.segment import Segmentation
 
 DEMO = bundled_path("demo")
 
@@ -140,7 +140,7 @@ def test_masks_by_sam2_are_those_of_the_session(
 ) -> None:
     session, found = tmp_path / "session", np.zeros((480, 640), np.bool_)
     found[100:300, 50:400] = True
-    monkeypatch.setattr("dvrk_cmaes.segment.model_masks.segment_by_model", lambda *_: Segmentation(found, 0.7))
+    found_by_model(monkeypatch, found, 0.7)
     bar = np.full((480, 640, 3), (90, 90, 170), np.uint8)
     bar[150:250, 60:560] = TOOL[::-1]
     write_image(session / "images" / "0000.png", bar)

@@ -17,9 +17,6 @@ from helpers.stereo_sessions import make_session_of_two_tools
 from helpers.transforms import moved
 
 from dvrk_cmaes import Body
-from dvrk_cmaes.cli.options import SessionOptions
-from dvrk_cmaes.cli.session_tools import read_arms
-from dvrk_cmaes.instrument.setup_joints import setup_text
 
 pytestmark = pytest.mark.usefixtures("tasks_here", "estimates_shared")
 
@@ -34,19 +31,6 @@ def quick(tmp_path: Path) -> Path:
 @pytest.fixture
 def folder(tmp_path: Path, bundled_body: Body) -> Path:
     return make_session_of_two_tools(tmp_path / "session", bundled_body)
-
-
-def test_tools_are_named_by_the_folders_of_their_results(folder: Path) -> None:
-    """Those of the only tool of a session are in the output folder itself, whether or not session.toml names it."""
-    assert list(read_arms(folder, SessionOptions())) == ["PSM1", "PSM2"]
-    assert list(read_arms(folder, SessionOptions(only=("PSM2",)))) == ["PSM2"]
-    text = (folder / "session.toml").read_text(encoding="utf-8")
-    (folder / "session.toml").write_text(text[: text.rindex("[[tool]]")], encoding="utf-8")
-    ((name, arm),) = read_arms(folder, SessionOptions()).items()
-    assert (name, arm.arm) == ("", "PSM1")
-    (folder / "session.toml").unlink()
-    ((name, arm),) = read_arms(folder, SessionOptions()).items()
-    assert (name, arm.arm) == ("", "")
 
 
 def test_one_arm_can_be_chosen(folder: Path, quick: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -122,7 +106,8 @@ def test_bases_are_tested_against_the_set_up_joints(
     session = shutil.copytree(two_arms / "session", tmp_path / "session")
     poses = {"PSM1": moved(np.eye(4), [0.1, 0.2, 0.3, 0.4, 0.5, 0.6])}
     poses["PSM2"] = moved(poses["PSM1"], [away, 0.0, 0.0, 0.0, 0.0, 0.0])
-    (session / "suj-fixed.json").write_text("// fixed\n" + setup_text(poses))
+    held = {"arms": [{"name": name, "measured_cp": pose.tolist()} for name, pose in poses.items()]}
+    (session / "suj-fixed.json").write_text("// fixed\n" + json.dumps(held))
     arguments = ("--results", two_arms / "results", "--config", two_arms / "settings.toml", "--workers", 1)
     ran = run_command(capsys, "calibrate", session, "--out", tmp_path / "out", *arguments)
     found = json.loads((tmp_path / "out" / "arms.json").read_text(encoding="utf-8"))["arms"]["PSM2"]["setup_joints"]

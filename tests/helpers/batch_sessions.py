@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 import shutil
-import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 
 from dvrk_cmaes import EstimateConfig
-from dvrk_cmaes.io.toml_file import updated
 from helpers.files import read_mask
 from helpers.places import bundled_path
 
@@ -24,7 +23,12 @@ iterations = 4
 """
 """Settings for tests that need results quickly; their accuracy is low."""
 
-QUICK_CONFIG = updated(EstimateConfig(), tomllib.loads(QUICK), where="tests")
+_USUAL = EstimateConfig()
+QUICK_CONFIG = replace(
+    _USUAL,
+    search=replace(_USUAL.search, samples=64, starts=1, evaluations=20),
+    refine=replace(_USUAL.refine, outline=replace(_USUAL.refine.outline, iterations=4)),
+)
 
 
 def make_session(folder: Path, names: list[str]) -> Path:

@@ -14,6 +14,7 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
+import numpy as np
 import pytest
 from cyclopts import App, core
 from cyclopts.argument import Argument, ArgumentCollection
@@ -127,3 +128,9 @@ def segmented_anew() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(segmentation, "with_classic", SEGMENT_CLASSIC)
         yield
+
+
+def found_by_model(patch: pytest.MonkeyPatch, mask: np.ndarray, confidence: float) -> None:
+    """Let a mask be what the instrument's model finds in each image."""
+    found = segmentation.Segmentation(mask, confidence)
+    patch.setattr("dvrk_cmaes.segment.model_masks.segment_by_model", lambda *_: found)

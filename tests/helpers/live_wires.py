@@ -8,7 +8,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes import Camera
 from dvrk_cmaes.live.connection import Connection
@@ -31,41 +30,6 @@ class Wire(Connection):
     @property
     def states(self) -> list[dict[str, Any]]:
         return [fields["status"][0] for topic, fields in self.published if topic == "/diagnostics"]
-
-
-@dataclass(eq=False)
-class Stage(Connection):
-    """A connection within this process, whose clock is that of what was sent last, ``stamp``, ns.
-
-    It keeps the poses (4, 4) and statuses that are published, by arm and stamp.
-    """
-
-    name: str = "stage"
-    stamp: int = 0
-    poses: dict[str, dict[int, np.ndarray]] = field(default_factory=dict)
-    statuses: dict[str, dict[int, str]] = field(default_factory=dict)
-
-    @property
-    def now(self) -> float:
-        return self.stamp / SECOND
-
-    def publish(self, topic: str, fields: Mapping[str, Any]) -> bool:
-        if topic.endswith("/camera_from_root"):
-            position, orientation = fields["pose"]["pose"]["position"], fields["pose"]["pose"]["orientation"]
-            pose = np.eye(4)
-            pose[:3, :3] = Rotation.from_quat([orientation[axis] for axis in "xyzw"]).as_matrix()
-            pose[:3, 3] = [position[axis] for axis in "xyz"]
-            self.poses.setdefault(topic.split("/")[2], {})[self.stamp] = pose
-        elif topic == "/diagnostics":
-            (status,) = fields["status"]
-            self.statuses.setdefault(status["hardware_id"], {})[self.stamp] = status["message"]
-        return True
-
-    def send(self, stamp: int, messages: Mapping[str, Mapping[str, Any]]) -> None:
-        """Send the messages of a time, ns, by topic."""
-        self.stamp = stamp
-        for topic, fields in messages.items():
-            self.receivers[topic](fields)
 
 
 class Steps:

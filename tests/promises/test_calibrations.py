@@ -7,6 +7,7 @@ import re
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -14,6 +15,7 @@ from dvrk_cmaes import InputError, read_calibration, read_session
 from promises.program import DEMO, OUT, Kept, distance, matrix, median, results, run, synth, tip_errors, truth
 
 EASY = ("--level", "easy", "--frames", 8, "--seed", 5, "--no-images")
+EYES = ("--stereo", "--level", "medium", "--frames", 4, "--seed", 2, "--no-images")
 TOOLS = ("--arms", 2, "--level", "easy", "--frames", 6, "--seed", 4, "--no-images")
 
 
@@ -141,6 +143,20 @@ def test_two_arms_are_calibrated_each_and_to_each_other(kept: Kept) -> None:
     found = matrix(arms["arms"]["PSM2"], "reference_from_base")
     expected = np.linalg.inv(base(session, arms["reference"])) @ base(session, "PSM2")
     assert distance(found, expected) < (8.0, 4.0)
+
+
+def test_both_eyes_are_calibrated_and_drawn_beside_each_other(kept: Kept) -> None:
+    session = synth(kept, *EYES)
+    out = kept("calibrate", session, "--out", OUT).folder
+    assert np.abs(deviations(out / "session.json", session)).max() < 3.5
+    document = json.loads((out / "session.json").read_text())
+    assert document["left_out"] == {}
+    for result in results(out).values():
+        assert [one["name"] for one in result["view_fits"]] == ["left", "right"]
+    for folder in ("overlays", "overlays_left_out"):
+        picture = cv2.imread(str(out / folder / "0001.jpg"))
+        assert picture is not None
+        assert picture.shape[1] == 2 * 320
 
 
 def test_session_without_outer_joints_cannot_be_calibrated(tmp_path: Path, quick: Path) -> None:

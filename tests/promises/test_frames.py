@@ -188,8 +188,44 @@ def test_image_alone_is_segmented_and_estimated(kept: Kept, tmp_path: Path) -> N
     assert ran.code in (0, 3)
     result = read_result(tmp_path / "out" / "frames" / "0001.json")
     assert tip_errors(result.to_dict(), truth(DEMO)["0001"]).max() < max(2.0, result.to_dict()["std"]["tip_90_mm"])
+    assert any(text.startswith("mask found in the image by the classic model, confid") for text in result.warnings)
     mask, right = (png(folder / "masks" / "0001.png") > 127 for folder in (tmp_path / "out", DEMO))
     assert (mask & right).sum() / (mask | right).sum() > 0.9
+
+
+@pytest.mark.parametrize(
+    ("radius", "expected"), [(0, "no instrument found in the image; a mask, a box or a"), (90, "")]
+)
+def test_image_of_something_else_is_refused_or_its_mask_a_guess(
+    tmp_path: Path, quick: Path, radius: int, expected: str
+) -> None:
+    image = np.full((480, 640, 3), 90, np.uint8)
+    if radius:
+        image[:] = (70, 75, 165)
+        cv2.circle(image, (320, 240), radius, (140, 140, 140), -1)
+    cv2.imwrite(str(tmp_path / "wall.png"), image)
+    words = ("--camera", DEMO / "camera.yaml", "--joints", "none", "--config", quick, "--out", tmp_path / "out")
+    ran = run("estimate", "--image", tmp_path / "wall.png", *words)
+    if expected:
+        assert ran.code == 1
+        assert f"{tmp_path / 'wall.png'}: {expected}" in ran.err
+    else:
+        assert ran.code == 3
+        result = read_result(tmp_path / "out" / "frames" / "wall.json")
+        assert any(reason.startswith("mask is a guess: confidence 0.") for reason in result.reasons)
+
+
+def test_mask_found_in_a_real_image_gives_the_pose_of_a_given_one(shared: Path, tmp_path: Path) -> None:
+    real, body = shared / "frames" / "real" / "medium", shared / "instruments" / "lnd_400006" / "lnd_400006.urdf"
+    files = ("--image", real / "images" / "0240.png", "--camera", real / "camera.yaml", "--joints", real / "joints.csv")
+    found = {}
+    for name, more in (("image", ()), ("mask", ("--mask", real / "masks" / "0240.png"))):
+        ran = run("estimate", *files, *more, "--instrument", body, "--out", tmp_path / name)
+        assert ran.code in (0, 3), ran.err
+        found[name] = read_result(tmp_path / name / "frames" / "0240.json").camera_from_root
+    assert distance(found["image"], found["mask"])[0] < 5.0
+    axes = [pose[:3, 2] for pose in found.values()]
+    assert np.degrees(np.arccos(np.clip(axes[0] @ axes[1], -1, 1))) < 10.0
 
 
 def test_two_eyes_tell_depth_and_contradicting_eyes_are_doubtful(kept: Kept) -> None:
