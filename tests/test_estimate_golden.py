@@ -67,7 +67,7 @@ def test_golden_case_is_within_tolerances(bundled_body: Body, name: str) -> None
         assert result.status == "doubtful" or not beyond, report
 
 
-@pytest.mark.parametrize("name", [name for name, case in CASES.items() if case["outcome"] == "ok"])
+@pytest.mark.parametrize("name", ["clean_1", "distorted_lens", "occluded"])
 def test_card_preset_is_within_the_tolerances_of_golden_cases(bundled_body: Body, name: str) -> None:
     config, case = EstimateConfig(), CASES[name]
     result = run_case(bundled_body, case, replace(config, refine=replace(config.refine, derivatives="differences")))

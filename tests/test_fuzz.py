@@ -53,10 +53,10 @@ def test_damaged_input_is_refused_in_one_line_or_read(
 
 
 def test_links_that_leave_a_session_are_not_followed(fuzz: ModuleType, material: Path, tmp_path: Path) -> None:
-    quick = [("inspect", "session"), ("segment", "session")]
+    quick = [("inspect", "session")]
     report = fuzz.fuzz_links(material, tmp_path / "try", fuzz.in_this_process, ("masks", "images"), quick)
     assert report.violations == []
-    assert (report.tries.total(), report.refused) == (16, 12)  # segment does not read the masks
+    assert (report.tries.total(), report.refused) == (8, 8)
 
 
 def test_no_file_of_the_user_is_changed_in_any_kind_of_folder(fuzz: ModuleType, material: Path, tmp_path: Path) -> None:

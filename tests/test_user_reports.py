@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from helpers.canned_results import canned
 from helpers.commands import Ran, run_command
+from helpers.made_recordings import write_video
 from helpers.places import bundled_path
 from helpers.readings import read_joints
 
@@ -257,8 +258,8 @@ def test_times_that_lost_their_digits_are_named(
         read_joint_file(path)
 
 
-def test_readings_of_another_clock_name_both_and_the_option(reports: Path, shared: Path, run: Run) -> None:
-    video, demo = shared / "frames" / "video" / "easy" / "video.mp4", bundled_path("demo")
+def test_readings_of_another_clock_name_both_and_the_option(reports: Path, run: Run) -> None:
+    video, demo = write_video(Path("video.avi")), bundled_path("demo")
     epoch = reports / "time-lost-digits" / "epoch.csv"
     refusal = run("import", video, "--camera", demo / "camera.yaml", "--joints", epoch, "--out", "session").refusal
     assert "got readings of 1700000000.000 to 1700000000.480 s and images of 0.000 to" in refusal

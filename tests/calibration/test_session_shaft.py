@@ -45,4 +45,5 @@ def test_whole_instrument_that_is_larger_is_found_and_is_a_doubt(bundled_body: B
     found = calibrate_session(seen, bundled_body).calibration
     assert found.shaft is not None
     assert abs(found.shaft.whole_scale - 1.05) < 3 * found.shaft.std_whole_scale < 0.05
-    assert any("all of it is 5 % (std " in doubt for doubt in found.doubts)
+    percent = round(100 * (found.shaft.whole_scale - 1))
+    assert any(f"all of it is {percent} % (std" in doubt and "larger" in doubt for doubt in found.doubts)

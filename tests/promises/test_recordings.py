@@ -18,7 +18,21 @@ import numpy as np
 import pytest
 
 from dvrk_cmaes import Tracker, prepare, read_calibration, read_camera, read_session
-from promises.program import DEMO, OUT, Kept, content, distance, matrix, median, run, synth, tip_errors, tracks, truth
+from promises.program import (
+    DEMO,
+    OUT,
+    QUICK,
+    Kept,
+    content,
+    distance,
+    matrix,
+    median,
+    run,
+    synth,
+    tip_errors,
+    tracks,
+    truth,
+)
 
 VIDEO = ("--motion", "video", "--level", "easy", "--no-images")
 ONE = (*VIDEO, "--frames", 40, "--seed", 5, "--lag", "2frames")
@@ -124,14 +138,15 @@ def test_images_of_something_else_are_not_ok_and_no_keyframes(kept: Kept, tmp_pa
     other = cv2.line(gone.copy(), (40, 0), (200, 239), (96, 98, 95), 34)  # the shaft of another instrument
     for frame, image in (("0005", gone), ("0009", other)):
         cv2.imwrite(str(tmp_path / "session" / "images" / f"{frame}.png"), image)
+    quick.write_text(f"{QUICK}[trust]\ntip_mm = 3.0\n")  # small images tell little about the depth
     words = ("--evidence", "images", "--config", quick, "--workers", 1, *PLAIN)
     assert run("track", tmp_path / "session", "--out", tmp_path / "out", *words).code == 3
     found = tracks(tmp_path / "out")
-    check(found, truth(session))
+    assert check(found, truth(session)) < 1.5
     assert found["0005"]["status"] == "lost"
     assert found["0005"]["reasons"] == ["lost: the image shows nothing of the instrument"]
     assert found["0009"]["status"] in ("doubtful", "lost")
-    assert sum(row["status"] == "ok" for row in found.values()) >= 5
+    assert sum(row["status"] == "ok" for row in found.values()) >= 7
     used = json.loads((tmp_path / "out" / "session.json").read_text())["frames"]
     assert len(used) >= 10
     assert not {"0005", "0009"} & {*used}
