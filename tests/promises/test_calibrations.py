@@ -210,9 +210,11 @@ def test_damaged_calibration_is_refused_by_its_field(
     assert str(caught.value).startswith(f"{tmp_path / 'session.json'}: {expected}")
 
 
-def test_calibration_of_other_joints_is_refused(kept: Kept, tmp_path: Path) -> None:
-    path = kept("calibrate", synth(kept, *EASY), "--out", OUT).folder / "session.json"
-    text = path.read_text().replace("wrist_pitch", "elbow")
-    (tmp_path / "session.json").write_text(text)
-    words = ("batch", synth(kept, *EASY), "--session", tmp_path / "session.json", "--out", tmp_path / "out")
-    assert "offsets: expected those of insertion, roll, wrist_pitch" in run(*words, "--workers", 1).refusal
+def test_frame_fails_by_a_calibration_of_other_joints(kept: Kept, tmp_path: Path) -> None:
+    session = synth(kept, *EASY)
+    text = (kept("calibrate", session, "--out", OUT).folder / "session.json").read_text()
+    (tmp_path / "session.json").write_text(text.replace("wrist_pitch", "elbow"))
+    words = ("--session", tmp_path / "session.json", "--frames", "0000", "--out", tmp_path / "out", "--workers", 1)
+    assert run("batch", session, *words).code == 1
+    (reason,) = results(tmp_path / "out")["0000"]["reasons"]
+    assert reason.startswith("session: offsets: expected those of insertion, roll, wrist_pitch"), reason

@@ -203,7 +203,7 @@ def test_one_arm_can_be_chosen(kept: Kept, tmp_path: Path, quick: Path) -> None:
         (("--box", "1,2,30,40"), "--box, --point: expected one arm (--only ARM)"),
         (("--joints", DEMO / "joints.csv"), "--joints FILE: expected one arm (--only ARM)"),
         (("--session", "session.json"), "--session: expected the folder that calibrate wrote, with a session.json for"),
-        (("--only", "PSM3"), "arm: expected one of"),
+        (("--only", "PSM3"), "session.toml: arm: expected one of PSM1, PSM2"),
     ],
 )
 def test_options_of_one_arm_are_refused(kept: Kept, tmp_path: Path, words: tuple[object, ...], expected: str) -> None:
@@ -243,7 +243,9 @@ def test_tracker_in_python_follows_as_the_command_does(kept: Kept) -> None:
 @pytest.fixture
 def short(kept: Kept) -> tuple[object, ...]:
     """The words that follow some frames of a recording, which are too few to know the base."""
-    return "track", synth(kept, *ONE), "--every", 5, "--lag", 0, *PLAIN
+    settings = kept.base / "quick.toml"
+    settings.write_text(QUICK)
+    return "track", synth(kept, *ONE), "--every", 5, "--config", settings, *PLAIN
 
 
 def test_interrupted_run_begins_anew_with_the_same_results(
@@ -279,7 +281,7 @@ def test_finished_recording_is_not_followed_again_and_not_mixed_with_other_setti
     assert not {"tracks.mp4", "report.html"} & {*before}
     again = run(*short, "--out", tmp_path / "out", "--workers", 1)
     assert (again.code, again.err) == (3, "")
-    assert "track.lag: 0.0 -> 0.1" in run(*short, "--lag", 0.1, "--out", tmp_path / "out").refusal
+    assert "track.lag: None -> 0.1" in run(*short, "--lag", 0.1, "--out", tmp_path / "out").refusal
     assert content(tmp_path / "out")["tracks.jsonl"] == before["tracks.jsonl"]
 
 
