@@ -22,7 +22,7 @@ from helpers.places import ROOT
 from helpers.plain_pictures import plain_pictures
 from helpers.printed_blocks import PROGRAM, Block, blocks, has_in_order, printed_parts, run, words
 from helpers.processes_here import processes_here
-from helpers.shared_estimates import shared_estimates
+from helpers.shared_estimates import shared_estimates, short_searches
 
 from dvrk_cmaes import EstimateConfig, prepare, read_camera
 from dvrk_cmaes.cli.app import app
@@ -78,9 +78,15 @@ def needed(command: str) -> str | None:
 
 @pytest.fixture(scope="module", autouse=True)
 def quicker() -> Iterator[None]:
-    """Let commands do without worker processes and pictures, estimate a frame once, and draw quarter-size images."""
+    """Let commands do without processes and pictures, search shortly, estimate once, and draw quarter-size images."""
     camera = made_sessions.default_camera
-    with pytest.MonkeyPatch.context() as patch, processes_here(), shared_estimates(), plain_pictures():
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        processes_here(),
+        shared_estimates(),
+        short_searches(),
+        plain_pictures(),
+    ):
         patch.setattr(made_sessions, "default_camera", lambda level: camera(level).scaled(320, 240))
         yield
 

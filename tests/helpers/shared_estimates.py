@@ -9,11 +9,12 @@ import hashlib
 import pickle
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import fields
 from typing import Any
 
 import pytest
 
-from dvrk_cmaes import Body, Result
+from dvrk_cmaes import Body, EstimateConfig, Result
 from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.runs import frame as frames
 from dvrk_cmaes.runs.manifest import instrument_digest
@@ -35,4 +36,15 @@ def shared_estimates() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(frames, "estimate_views", estimated)
+        yield
+
+
+@contextmanager
+def short_searches() -> Iterator[None]:
+    """Let searches whose settings are not given be of a third of the usual candidates."""
+    usual = EstimateConfig().search
+    values = {field.name: getattr(usual, field.name) for field in fields(usual)}
+    values |= {"samples": 256, "starts": 8, "evaluations": 320}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(type(usual).__init__, "__defaults__", tuple(values.values()))
         yield
