@@ -47,13 +47,17 @@ REQUIREMENTS = (
         lambda: None not in map(shutil.which, ("chromium", "chromedriver")),
     ),
 )
-LONGEST = ("scripts", "documents", "runs", "synth", "track", "calibration", "cli", "report")
-"""Folders of tests, those whose files take longest first; ``documents`` are the examples in README and reference pages.
+LONGEST = (
+    *("test_reference_examples", "test_recordings", "test_fuzz", "test_calibrations", "test_frames", "test_tutorial"),
+    *("test_live", "test_background", "test_outputs", "test_keyframe_tracker", "test_calibrate"),
+    *("test_import_surgpose", "test_by_model", "test_session_rig", "test_pool", "test_steered_session", "test_classic"),
+)
+"""Files of tests that take longest, in the order in which they begin; all others follow.
 
-Files run in this order, so that towards the end no worker is left alone with one that takes long.
+Towards the end, no worker is left alone with one that takes long. Worlds of ``promises`` that several files need are
+made by the first of them, for which others would wait at that time.
 """
 _IN_MEMORY, _PLENTY = "/dev/shm", 8e9  # bytes; a run of all tests keeps less than one of these 8 GB
-DOCUMENTS = ("test_reference_examples", "test_readme_examples", "test_tutorial")
 DESELECTED = pytest.StashKey[dict[str, int]]()
 """Number of selected tests without what they require, by mark."""
 
@@ -80,9 +84,8 @@ def _keep_files_in_memory() -> None:
 
 
 def order(item: pytest.Item) -> tuple[int, str]:
-    """Give the place of a test's folder in LONGEST, and its file."""
-    folder = "documents" if item.path.stem in DOCUMENTS else item.path.parent.name
-    return LONGEST.index(folder) if folder in LONGEST else len(LONGEST), str(item.path)
+    """Give the place of a test's file in LONGEST, and the file."""
+    return LONGEST.index(item.path.stem) if item.path.stem in LONGEST else len(LONGEST), str(item.path)
 
 
 @pytest.hookimpl(wrapper=True)

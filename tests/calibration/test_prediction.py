@@ -58,6 +58,16 @@ def test_predicted_frame_is_not_searched(known: Known, explained: Result) -> Non
     assert 0 < explained.evaluations < 600  # a search takes thousands
 
 
+@pytest.mark.parametrize(("joint", "off"), [("insertion", 0.005), ("roll", 0.4), ("wrist_yaw", 0.4), ("jaw", 0.4)])
+def test_readings_are_corrected_by_the_offsets(known: Known, joint: str, off: float) -> None:
+    offsets, readings = {**known.session.offsets}, {**known.frame.result.readings}
+    offsets[joint] += off
+    readings[joint] -= off
+    found = known.estimate(replace(known.session, offsets=offsets), readings)
+    assert found.source == "session"
+    assert known.tip_mm(found) < 0.5
+
+
 def test_covariance_region_contains_truth_and_is_positive(known: Known, explained: Result) -> None:
     assert explained.camera_from_root is not None
     assert explained.covariance is not None
