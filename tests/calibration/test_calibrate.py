@@ -71,6 +71,19 @@ def made(bundled_body: Body) -> Made:
 # the calibration
 
 
+def test_scatter_of_the_readings_is_estimated_by_joint(bundled_body: Body) -> None:
+    frames, rng = make_frames_in_memory(bundled_body, 10, level="clean")[2], np.random.default_rng(0)
+    rough = []
+    for frame in frames:
+        readings = dict(frame.result.readings)
+        readings["wrist_yaw"] += np.radians(12) * rng.standard_normal()
+        rough.append(with_result(frame, readings=readings))
+    plain, noisy = (calibrate_session(each, bundled_body).calibration.spreads for each in (frames, rough))
+    assert noisy["wrist_yaw"] > 2 * plain["wrist_yaw"]
+    assert noisy["wrist_pitch"] < 1.5 * plain["wrist_pitch"]
+    assert np.degrees(plain["wrist_yaw"]) < 3.0  # those of the level are exact
+
+
 def test_frames_near_each_other_in_time_tell_less_as_their_masks_err_alike(bundled_body: Body) -> None:
     frames = make_frames_in_memory(bundled_body, 8)[2]
 
