@@ -10,7 +10,7 @@ import base64
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -129,6 +129,19 @@ def play(server: RosbridgeServer, frames: int, send: Callable[[int, float], None
 def errors_of(found: Mapping[int, np.ndarray], true: Mapping[str, Any]) -> list[float]:
     """Give the distances of published roots from the true ones of their frames, mm."""
     return [distance(pose, matrix(true[f"{time // 100:04d}"], "T_camera_roll_link"))[0] for time, pose in found.items()]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def silent() -> Iterator[subprocess.Popen[str]]:
+    """`live` with a server that sends nothing, for which it waits while the other tests of this file run."""
+    server = RosbridgeServer()
+    server.topics = {"/left/image_raw": "sensor_msgs/Image"}
+    server.start()
+    words = [PROGRAM, "live", "--port", str(server.port), "--image-topic", "/left/image_raw"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        yield process
+        process.kill()
+    server.stop()
 
 
 def test_one_arm_is_followed_and_published(kept: Kept) -> None:
@@ -277,16 +290,10 @@ def rows_of(path: Path) -> list[dict[str, float]]:
     ]
 
 
-def test_silent_server_is_one_line_and_exit_code_1() -> None:
-    server = RosbridgeServer()
-    server.topics = {"/left/image_raw": "sensor_msgs/Image"}
-    server.start()
-    try:
-        ran = run("live", "--port", server.port, "--image-topic", "/left/image_raw")
-    finally:
-        server.stop()
-    assert (ran.code, ran.out) == (1, "")
-    assert "/left/image_raw" in ran.err
+def test_silent_server_is_one_line_and_exit_code_1(silent: subprocess.Popen[str]) -> None:
+    out, err = silent.communicate(timeout=60)
+    assert (silent.returncode, out) == (1, "")
+    assert "/left/image_raw" in err
 
 
 @pytest.mark.parametrize(
