@@ -1,4 +1,4 @@
-"""Solids of which the bundled instrument is composed: prisms, rods, boxes and lofts, in millimetres.
+"""Solids of which the bundled instruments are composed: prisms, rods, boxes, tubes and lofts, in millimetres.
 
 The functions wrap manifold3d: outlines are given as arrays, and circles become polygons within CHORD_ERROR.
 """
@@ -6,10 +6,11 @@ The functions wrap manifold3d: outlines are given as arrays, and circles become 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from manifold3d import CrossSection, FillRule, Manifold, Mesh64
+from manifold3d import CrossSection, FillRule, Manifold, Mesh64, OpType
 from numpy.typing import NDArray
 
 Points = NDArray[np.float64]
@@ -94,3 +95,10 @@ def loft(sections: Points) -> Manifold:
     if np.einsum("ij,ij->i", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])).sum() < 0:
         faces = faces[:, ::-1]
     return Manifold(Mesh64(vertices, np.ascontiguousarray(faces, dtype=np.uint64)))
+
+
+def tube(path: Sequence[tuple[float, float, float]], radius: float) -> Manifold:
+    """Make a tube of a radius around a path of straight pieces, with round ends and bends."""
+    balls = [Manifold.sphere(radius, 8).translate(point) for point in path]
+    pieces = [Manifold.batch_hull([one, other]) for one, other in pairwise(balls)]
+    return Manifold.batch_boolean(pieces, OpType.Add)

@@ -1,4 +1,4 @@
-"""The bundled Large Needle Driver: closed meshes of the right size, the dVRK's kinematics, and its script."""
+"""The bundled instruments: closed meshes of the right size and shape, the dVRK's kinematics, and their script."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ import pytest
 import trimesh
 from helpers.places import SCRIPTS, bundled_path
 
-from dvrk_cmaes import Body, Renderer
+from dvrk_cmaes import Body, Camera, Renderer, load_instrument, prepare
 
-FOLDER = bundled_path("instruments", "lnd")
+INSTRUMENTS = bundled_path("instruments")
+FOLDER = INSTRUMENTS / "lnd"
 SCRIPT = SCRIPTS / "make_instrument.py"
+NUMBERS = {"prograsp": "400093", "maryland": "400172", "mega_needle_driver": "400194", "cautery_hook": "400183"}
 LINKS = ["roll_link", "wrist_pitch_link", "jaw_1_link", "jaw_2_link"]
 
 
@@ -32,9 +34,9 @@ def joints() -> dict[str, ET.Element]:
     return {joint.attrib["name"]: joint for joint in ET.parse(FOLDER / "lnd.urdf").getroot().iter("joint")}
 
 
-@pytest.mark.parametrize("link", LINKS)
-def test_meshes_are_closed_solids_with_outward_faces(link: str) -> None:
-    solid = mesh(link)
+@pytest.mark.parametrize("path", sorted(INSTRUMENTS.glob("*/meshes/*.ply")), ids=lambda path: path.stem)
+def test_meshes_are_closed_solids_with_outward_faces(path: Path) -> None:
+    solid = trimesh.load_mesh(path)
     assert solid.is_watertight
     assert solid.is_winding_consistent
     assert solid.is_volume
@@ -101,17 +103,17 @@ def test_script_reproduces_bundled_files() -> None:
 
 
 def test_check_names_changed_missing_and_extra_files(tmp_path: Path) -> None:
-    copy = tmp_path / "lnd"
-    shutil.copytree(FOLDER, copy)
-    (copy / "lnd.urdf").write_text("<robot/>")
-    (copy / "meshes" / "roll_link.ply").unlink()
-    (copy / "meshes" / "stray.ply").touch()
+    copy = tmp_path / "instruments"
+    shutil.copytree(INSTRUMENTS, copy)
+    (copy / "lnd" / "lnd.urdf").write_text("<robot/>")
+    (copy / "dvrk" / "meshes" / "roll.ply").unlink()
+    (copy / "lnd" / "meshes" / "stray.ply").touch()
     done = run("--check", "--out", copy)
     assert done.returncode == 1
     assert [line.split(":")[0] for line in done.stderr.splitlines()] == [
-        str(copy / "lnd.urdf"),
-        str(copy / "meshes" / "roll_link.ply"),
-        str(copy / "meshes" / "stray.ply"),
+        str(copy / "lnd" / "lnd.urdf"),
+        str(copy / "dvrk" / "meshes" / "roll.ply"),
+        str(copy / "lnd" / "meshes" / "stray.ply"),
     ]
 
 
@@ -121,3 +123,37 @@ def test_silhouette_agrees_with_scanned_needle_driver(bundled_body: Body, scanne
     overlap = (made & real).sum(axis=(1, 2)) / (made | real).sum(axis=(1, 2))
     assert overlap.mean() >= 0.93
     assert overlap.min() >= 0.9
+
+
+def poses_around(count: int) -> np.ndarray:
+    """Poses of an instrument that is seen from directions spread over the sphere, 0.12 m away; (count, 4, 4)."""
+    k = np.arange(count) + 0.5
+    polar, angle = np.arccos(1 - 2 * k / count), np.pi * (1 + 5**0.5) * k
+    forward = -np.stack([np.cos(angle) * np.sin(polar), np.sin(angle) * np.sin(polar), np.cos(polar)], 1)
+    right = np.cross([0.3, 0.5, 0.8], forward)
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    poses[:, :3, :3] = np.stack([right, np.cross(forward, right), forward], 1)
+    poses[:, :3, 3] = [0, 0, 0.12] - poses[:, :3, 2] * 0.01
+    return poses
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_silhouettes_from_40_directions_agree_with_the_dvrk_meshes(name: str, shared: Path) -> None:
+    urdf = shared / "instruments" / "dvrk_model" / "urdf" / f"instrument_{NUMBERS[name]}.urdf"
+    made, real = prepare(name), prepare(urdf)
+    assert made.instrument.joint_names == real.instrument.joint_names
+    np.testing.assert_allclose(made.instrument.limits, real.instrument.limits, atol=1e-5)
+    for ours, theirs in zip(made.instrument.jaw_tips, real.instrument.jaw_tips, strict=True):
+        assert np.linalg.norm(ours.position - theirs.position) < 1e-4
+    low, high = real.instrument.limits.T
+    joints = np.random.default_rng(0).uniform(0.8 * low, 0.8 * high, (40, len(low)))
+    camera = Camera(320, 240, 800.0, 800.0, 160.0, 120.0)
+    ours, theirs = (Renderer(body, camera).masks(poses_around(40), joints) for body in (made, real))
+    assert ((ours & theirs).sum((1, 2)) / (ours | theirs).sum((1, 2))).min() > 0.93
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_instrument_is_named_in_any_case_and_by_the_number_of_either_generation(name: str) -> None:
+    for said in (name.upper(), NUMBERS[name], NUMBERS[name].replace("400", "420")):
+        assert load_instrument(said).name == name

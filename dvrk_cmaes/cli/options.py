@@ -198,8 +198,8 @@ class InstrumentOptions:
     Parameters
     ----------
     instrument
-        Name of a bundled instrument (lnd, a Large Needle Driver), or path of a URDF. By default that of the session's
-        session.toml, or else lnd.
+        Bundled instrument by name (lnd, prograsp, maryland, mega_needle_driver, cautery_hook) or number (400093), or
+        path of a URDF. By default that of the session's session.toml, or else lnd.
     arm
         Arm whose kinematics are used to compute camera_from_base: classic or si. By default that of session.toml, or
         else classic.

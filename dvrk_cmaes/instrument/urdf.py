@@ -27,22 +27,29 @@ from dvrk_cmaes.io.short_text import listed
 #: Default name of the link whose pose is estimated: the one at the distal end of the shaft.
 DEFAULT_ROOT = "roll_link"
 
+#: Bundled instruments by the end of the dVRK's number, in which 400 or 420 before it is the generation, S or Si.
+_NUMBERS = {"006": "lnd", "093": "prograsp", "172": "maryland", "183": "cautery_hook", "194": "mega_needle_driver"}
+
 
 def bundled_names() -> tuple[str, ...]:
     """Return the names of the instruments bundled with the package, sorted."""
-    folder = bundled_path("instruments")
-    return tuple(sorted(path.parent.name for path in folder.glob("*/*.urdf") if path.stem == path.parent.name))
+    return tuple(sorted(_bundled()))
+
+
+def _bundled() -> dict[str, Path]:
+    return {path.stem: path for path in bundled_path("instruments").glob("*/*.urdf")}
 
 
 def _urdf_path(source: str | Path, folders: Iterable[str | Path]) -> Path:
     """Return the path of a bundled or given URDF, or of that of a number in folders; InputError if there is none."""
-    name = str(source).lower()
-    if isinstance(source, str) and name in bundled_names():
-        return bundled_path("instruments", name, f"{name}.urdf")
+    name, searched = str(source).lower(), [*map(str, folders)]
+    if name[:3] in ("400", "420") and not searched:
+        name = _NUMBERS.get(name[3:], name)
+    if name in (bundled := _bundled()):
+        return bundled[name]
     path = Path(source)
     if path.is_file():
         return path
-    searched = [*map(str, folders)]
     if name.isdecimal() and searched:
         found = [urdf for folder in searched for urdf in sorted(Path(folder).rglob("*.urdf"))]
         fitting = [urdf for urdf in found if name in urdf.stem]
@@ -72,7 +79,8 @@ def load_instrument(
     Parameters
     ----------
     source
-        Name of a bundled instrument (see `bundled_names`), path of a URDF, or the number of one in ``package_paths``.
+        Name or number of a bundled instrument (see `bundled_names`), path of a URDF, or the number of one in
+        ``package_paths``.
     package_paths
         Folder of each ROS package named in ``package://NAME/...``; other packages are searched for in the URDF's folder
         and its parents.
