@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from helpers.places import bundled_path
 from helpers.transforms import rotation_angle
+from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes import (
     Body,
@@ -27,6 +28,7 @@ from dvrk_cmaes import (
     read_session,
 )
 from dvrk_cmaes.camera.critical import WRONG
+from dvrk_cmaes.config import CameraConfig
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose import find_pose
@@ -55,6 +57,27 @@ def readings(session: Session) -> dict[str, float]:
 @pytest.fixture(scope="module")
 def quick_result(bundled_body: Body, frame: FrameData, readings: dict[str, float]) -> Result:
     return estimate(frame.mask, frame.camera, readings, bundled_body, config=QUICK)
+
+
+def test_covariance_of_a_tip_is_that_of_pose_and_joints_carried_to_it_in_the_cameras_axes(
+    bundled_body: Body, frame: FrameData, readings: dict[str, float]
+) -> None:
+    exact = CameraConfig(1e-6, 1e-6, 1e-6, 1e-6, 1e-6)
+    result = estimate(frame.mask, frame.camera, readings, bundled_body, config=replace(QUICK, camera=exact))
+    assert result.covariance is not None
+    assert result.expected_error is not None
+    turned = result.covariance_in_camera()
+    moves = np.random.default_rng(0).multivariate_normal(np.zeros(9), 1e-4 * turned, 20_000)
+    tips = bundled_body.instrument.ends(np.array([*result.joints.values()]) + moves[:, 6:])[:, 0]
+    pose = result.require_pose()
+    around = Rotation.from_rotvec(moves[:, 3:6]).apply(tips @ pose[:3, :3].T)
+    sampled = np.cov((1e5 * (around + moves[:, :3])).T)  # mm, of changes 100 times as small
+    np.testing.assert_allclose(
+        result.expected_error.tip_covariance_mm2["jaw_1"], sampled, atol=0.03 * np.trace(sampled)
+    )
+    again = Result.from_dict(result.to_dict()).expected_error
+    assert again is not None
+    np.testing.assert_allclose(again.tip_axes_mm["mean"] ** 2, np.diag(again.tip_covariance_mm2["mean"]), rtol=1e-5)
 
 
 def answer(result: Result) -> str:

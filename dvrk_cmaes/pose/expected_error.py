@@ -111,6 +111,7 @@ def expected_error(
         tip_90_mm=max(largest_distance(spread) for spread in spreads.values()),
         shaft_deg=float(np.sqrt(np.trace(slope @ whole @ slope.T))),
         tip_90_given_camera_mm=None if of_camera is None else max(largest_distance(spread) for spread in in_camera),
+        tip_covariance_mm2=spreads,
     )
 
 

@@ -98,6 +98,8 @@ class ExpectedError(Document):
 
     tip_mm : root mean square of each tip's distance from its true position, mm.
     tip_axes_mm : (3,) standard deviations of each tip along the camera's axes, mm.
+    tip_covariance_mm2 : (3, 3) covariance of each tip's position, of which these are the diagonal, mm^2; empty in older
+        files.
     tip_90_mm : distance within which each single tip lies with a probability of 90 %, mm.
     tip_90_given_camera_mm : the same if the camera's file is right; None where it is not stated.
     shaft_deg : root mean square of the angle between the shaft's direction and the true one, degrees.
@@ -108,6 +110,7 @@ class ExpectedError(Document):
     tip_90_mm: Number
     shaft_deg: Number
     tip_90_given_camera_mm: Number | None = None
+    tip_covariance_mm2: dict[str, SquareOfThree] = field(default_factory=dict)
 
     @property
     def of_tips_mm(self) -> float:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import threading
 import time as clock
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -41,7 +43,8 @@ class Tracker:
     It keeps images with masks and readings that differ, at most 60 keyframes. `solve` finds base, lag and offsets from
     them, and after `use` every image is fitted with these, as by `dvrk-cmaes track`; until then no pose is ok. A
     ``calibration`` is used in the same way, until images contradict it. It reads no files, and does nothing between its
-    steps. The same images, readings, solutions and settings give the same results. One thread at a time may call it.
+    steps. The same images, readings, solutions and settings give the same results. Calls of `add_readings`, `step`,
+    `start` and `use` from several threads, such as callbacks of ROS, wait for each other.
 
     Parameters
     ----------
@@ -111,6 +114,15 @@ class Tracker:
         self._unknown = UnknownBase(given, background)
         self._renderer = Renderer(self._body, rig.views[0].camera)
         self._time: float | None = None
+        self._turn = threading.RLock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle all but the lock."""
+        return {**self.__dict__, "_turn": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore a pickled tracker."""
+        self.__dict__.update(state, _turn=threading.RLock())
 
     @property
     def lag(self) -> FoundLag | None:
@@ -157,7 +169,8 @@ class Tracker:
             A value is not finite or in another unit, or a joint is unknown.
         """
         late = checked_number("time", time, "a finite number of seconds") + (self._given_lag or 0.0)
-        self._readings.add(late, joints)
+        with self._turn:
+            self._readings.add(late, joints)
 
     @property
     def base_state(self) -> str:
@@ -171,7 +184,8 @@ class Tracker:
 
     def problem(self) -> KeyframeProblem:
         """Return what the keyframes pose to be solved, which another process can do (`KeyframeProblem.solve`)."""
-        return self._known.problem()
+        with self._turn:
+            return self._known.problem()
 
     @property
     def unsolved_keyframes(self) -> list[KeyframeTask]:
@@ -191,7 +205,8 @@ class Tracker:
             What `KeyframeProblem.solve` returned.
         """
         check_type("use", solution, Solution, "what Tracker.solve returns")
-        return self._known.use(solution)
+        with self._turn:
+            return self._known.use(solution)
 
     def start(self, time: float, result: Result, image: Images | None = None) -> None:
         """Start, or start again, from the result of a single frame taken at a time, s.
@@ -218,10 +233,11 @@ class Tracker:
                 f"start: expected a result with a pose, a covariance and the joints {', '.join(self._names)}, got "
                 f"status {result.status} with {', '.join(result.joints) or 'no joints'}"
             )
-        self._check_time(time)
-        seen = None if image is None else self._segmenter.look(None, image, None)
-        self._unknown.start(time, result, seen)
-        self._time = time
+        with self._turn:
+            self._check_time(time)
+            seen = None if image is None else self._segmenter.look(None, image, None)
+            self._unknown.start(time, result, seen)
+            self._time = time
 
     def step(
         self, time: float, mask: Masks | None = None, image: Images | None = None, ignore: Masks | None = None
@@ -249,10 +265,11 @@ class Tracker:
             view.
         """
         started = clock.perf_counter()
-        self._check_time(time)
-        seen = self._segmenter.look(mask, image, ignore)
-        result = self._with_sparse_readings(self._followed(time, seen))
-        self._time = time
+        with self._turn:
+            self._check_time(time)
+            seen = self._segmenter.look(mask, image, ignore)
+            result = self._with_sparse_readings(self._followed(time, seen))
+            self._time = time
         remarks, seconds = tuple(dict.fromkeys((*self._remarks, *result.remarks))), clock.perf_counter() - started
         return replace(result, seconds=seconds, base=self._known.known, remarks=remarks, renderer=self._renderer)
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pickle
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from threading import Barrier
 
 import numpy as np
 import pytest
@@ -65,6 +67,32 @@ def test_pickled_tracker_goes_on_with_same_results(
     for one, same in zip(world.follow(other, frames=range(10, 14)), results[9:13], strict=True):
         assert one.to_dict("a") | {"seconds": 0} == same.to_dict("a") | {"seconds": 0}
     assert not pickle.loads(pickle.dumps(Tracker(world.camera, world.body))).offsets
+
+
+def test_steps_of_several_threads_are_done_one_after_the_other(world: MovingWorld, first: Result) -> None:
+    def with_readings() -> Tracker:
+        tracker = started(world, first)
+        for k in range(1, 9):
+            tracker.add_readings(world.time(k), world.readings[k])
+        return tracker
+
+    tracker, together = with_readings(), Barrier(8)
+
+    def step(k: int) -> TrackResult | None:
+        together.wait(60)
+        try:
+            return tracker.step(world.time(k), world.masks[k])
+        except InputError:  # a thread with a later image was first
+            return None
+
+    with ThreadPoolExecutor(8) as pool:
+        done = [*pool.map(step, range(1, 9))]
+    assert done[-1] is not None
+    again = with_readings()
+    for k, result in enumerate(done, start=1):
+        if result is not None:
+            same = again.step(world.time(k), world.masks[k])
+            assert result.to_dict("a") | {"seconds": 0} == same.to_dict("a") | {"seconds": 0}
 
 
 def test_instrument_is_followed_without_readings(world: MovingWorld, first: Result) -> None:
