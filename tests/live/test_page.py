@@ -9,6 +9,7 @@ import signal
 import sys
 import threading
 import time
+import xml.etree.ElementTree as ET
 from functools import partial
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -17,6 +18,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import yaml
 from examples.play_session import Robot as Player
 from examples.play_session import RosbridgeServer
 from examples.play_session import main as play
@@ -81,7 +83,7 @@ def encoded(data: bytes) -> str:
     return base64.b64encode(data).decode()
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", [command for command in COMMANDS if " live " in command])
 def test_command_follows_what_a_server_sends(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
     server = RosbridgeServer()
     monkeypatch.setattr(cli_live, "shown_state", partial(cli_live.shown_state, lines=0.1))
@@ -162,20 +164,55 @@ def test_node_of_masks_publishes_one_for_each_image(monkeypatch: pytest.MonkeyPa
     assert mask[top : bottom + 1, left : right + 1].sum() == mask.sum() > 1000
 
 
-def test_launch_file_starts_commands_that_are_valid(monkeypatch: pytest.MonkeyPatch) -> None:
-    started: list[list[str]] = []
-    modules = {
-        "launch": {"LaunchDescription": list},
-        "launch.actions": {"ExecuteProcess": lambda cmd, output: started.append(cmd)},
-        "launch_ros": {},
-        "launch_ros.actions": {"Node": SimpleNamespace},
+def launched(monkeypatch: pytest.MonkeyPatch, **given: str) -> tuple[list[list[str]], dict[str, SimpleNamespace]]:
+    """Give the commands and, by package, the nodes that the launch file starts with arguments."""
+    launch = {"LaunchContext": object, "LaunchDescription": list}
+    stated: dict[str, str] = {}
+    actions = {
+        "DeclareLaunchArgument": lambda name, default_value: stated.update({name: given.get(name, default_value)}),
+        "ExecuteProcess": lambda cmd, output: cmd,
+        "OpaqueFunction": lambda function: function,
     }
-    for name, members in modules.items():
+    substitutions = {"LaunchConfiguration": lambda name: SimpleNamespace(perform=lambda context: stated[name])}
+    modules = {"launch": launch, "launch.actions": actions, "launch.substitutions": substitutions}
+    for name, members in {**modules, "launch_ros": {}, "launch_ros.actions": {"Node": SimpleNamespace}}.items():
         module = ModuleType(name)
         vars(module).update(members)
         monkeypatch.setitem(sys.modules, name, module)
-    assert len(runpy.run_path(str(EXAMPLES / "live_launch.py"))["generate_launch_description"]()) == 3
-    masks, live = started
-    assert (ROOT / masks[1]).is_file()
+    *_, start = runpy.run_path(str(EXAMPLES / "live_launch.py"))["generate_launch_description"]()
+    started = start(None)
+    commands = [one for one in started if isinstance(one, list)]
+    return commands, {one.package: one for one in started if not isinstance(one, list)}
+
+
+def test_launch_file_starts_commands_that_are_valid(monkeypatch: pytest.MonkeyPatch) -> None:
+    (live, masks), nodes = launched(monkeypatch, arm="PSM2", image_topic="/right/image")
+    assert Path(masks[1]).is_file()
     assert PROGRAM.match(" ".join(live))
+    assert {"/right/image", "PSM2"} <= {*live}
     app.parse_args(live[1:], exit_on_error=False, print_error=False)
+    assert Path(nodes["rviz2"].arguments[1]).is_file()
+    assert nodes["robot_state_publisher"].remappings == [("joint_states", "/dvrk_cmaes/PSM2/measured_js")]
+
+
+def test_results_become_the_bag_that_is_shown_in_rviz(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "data").symlink_to(ROOT / "data")
+    monkeypatch.chdir(tmp_path)
+    (shown,) = (block for block in PAGE if "--to ros2-bag" in block.text)
+    for command in shown.commands:
+        assert run(command).code == 0
+    (played,) = re.findall(r"ros2 bag play (\S+)", shown.text)
+    assert (tmp_path / played / "metadata.yaml").is_file()
+
+
+def test_rviz_gets_the_links_by_their_names_in_tf_and_meshes_that_exist(monkeypatch: pytest.MonkeyPatch) -> None:
+    commands, nodes = launched(monkeypatch, live="false")
+    assert commands == []
+    robot = ET.fromstring(nodes["robot_state_publisher"].parameters[0]["robot_description"].encode())
+    links = {link.attrib["name"] for link in robot.iter("link")}
+    assert "PSM1_roll_link" in links
+    assert {end.attrib["link"] for joint in robot.iter("joint") for end in joint if "link" in end.attrib} <= links
+    assert all(Path(mesh.attrib["filename"].removeprefix("file://")).is_file() for mesh in robot.iter("mesh"))
+    shown = yaml.safe_load((EXAMPLES / "instrument.rviz").read_text())["Visualization Manager"]
+    topics = {display["Topic"]["Value"] for display in shown["Displays"] if "Topic" in display}
+    assert topics == {"/dvrk_cmaes/PSM1/camera_from_root", "/dvrk_cmaes/PSM1/overlay/compressed"}
