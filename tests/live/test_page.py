@@ -201,7 +201,7 @@ def test_results_become_the_bag_that_is_shown_in_rviz(monkeypatch: pytest.Monkey
     (shown,) = (block for block in PAGE if "--to ros2-bag" in block.text)
     for command in shown.commands:
         assert run(command).code == 0
-    (played,) = re.findall(r"ros2 bag play (\S+)", shown.text)
+    (played,) = re.findall(r"ros2 bag play -l (\S+)", shown.text)
     assert (tmp_path / played / "metadata.yaml").is_file()
 
 
