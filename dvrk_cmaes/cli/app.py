@@ -62,7 +62,7 @@ _LIMITS: Final = {
 _IN_FILE: Final = "in the settings file (--config)"
 _TOOL: Final = "columns, packages, root_link or tool of [[tool]] in session.toml"
 _PICTURES: Final = "right, crop or stretch of [camera] in session.toml"
-_RUNS: Final = ("batch", "calibrate", "track", "live")
+_RUNS: Final = ("batch", "calibrate", "track", "live", "golden")
 _SESSIONS: Final = ("batch", "calibrate", "track", "golden", "pnp")
 _REMOVED: Final[tuple[tuple[Sequence[str], Sequence[str], str], ...]] = (
     (COMMANDS, ("--follow-links",), "copies of the files in the folder"),

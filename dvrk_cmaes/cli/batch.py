@@ -45,9 +45,8 @@ from dvrk_cmaes.cli.terminal import (
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.calibration.document import SessionCalibration
-    from dvrk_cmaes.runs.agreement import ArmInSession
     from dvrk_cmaes.runs.batch import BatchSummary
+    from dvrk_cmaes.runs.frame import ArmInSession
 
 _LONGEST_FRAME = 1e6  # s, of --time-limit
 
@@ -102,11 +101,12 @@ class BatchOptions:
         check_range("--workers", self.workers, 1, MOST_WORKERS)
         check_range("--time-limit", self.time_limit, 1e-3, _LONGEST_FRAME, "seconds")
 
-    def with_masks(self, arm: ArmInSession, prompts: SegmentOptions) -> ArmInSession:
-        """Return an arm's session with the label of the instrument in the masks, and prompts where there is no mask."""
+    def asked(self, arm: ArmInSession, prompts: SegmentOptions) -> ArmInSession:
+        """Return an arm with what is asked of its masks, of the images without one, and of the lag."""
         from dvrk_cmaes.frames.label import parse_label
+        from dvrk_cmaes.joints.lag import Lag
 
-        session = arm.session
+        session, method = arm.session, replace(arm.method, segment=prompts.resolve())
         if self.label is not None:
             label = parse_label("--label", self.label)
             session = replace(session, frames=tuple(files.changed(label=label) for files in session.frames))
@@ -115,39 +115,34 @@ class BatchOptions:
             session = replace(session, frames=tuple(replace(files, pick=pick) for files in session.frames))
         if any((prompts.box, prompts.point, prompts.not_point)):
             session = session.with_prompts(prompts.hints())
-        return replace(arm, session=session)
+        lag = None if method.session is None else method.session.applied_lag
+        lag = lag if self.lag is None else Lag.parse("--lag", self.lag)
+        return replace(arm, session=session if lag is None else session.with_lag(lag), method=method)
 
 
 def estimated(
     arm: ArmInSession,
     out: Path,
     *,
+    pattern: str | None = None,
+    resume: bool = True,
     scheduler: str | None = None,
-    calibration: SessionCalibration | None = None,
-    lag: str | None = None,
-    workers: Mapping[str, Any],
-    **asked: Any,
+    **workers: Any,
 ) -> BatchSummary:
-    """Run the batch of an arm's session, with progress on stderr; ``asked`` and ``workers`` are as of `run_batch`."""
-    from dvrk_cmaes.joints.lag import Lag
+    """Run the batch of an arm's session, with progress on stderr; as `run_batch`, and ``workers`` as of `Workers`."""
     from dvrk_cmaes.runs.batch import Workers, run_batch
     from dvrk_cmaes.runs.cluster import dask_executor
 
-    applied = None if calibration is None else calibration.applied_lag
-    applied = applied if lag is None else Lag.parse("--lag", lag)
-    session = arm.session if applied is None else arm.session.with_lag(applied)
     with ExitStack() as stack:
         if scheduler is not None:
-            workers = {**workers, "executor": stack.enter_context(dask_executor(scheduler, session.folder))}
+            workers["executor"] = stack.enter_context(dask_executor(scheduler, arm.session.folder))
         stop, report = stack.enter_context(stopping_on_interrupt()), stack.enter_context(progress())
 
         def show_progress(done: int, todo: int, statuses: Mapping[str, int]) -> None:
             report(done, todo, f", {statuses.get('doubtful', 0)} doubtful, {statuses.get('failed', 0)} failed")
 
         by = Workers(stop=stop, progress=show_progress, notice=note, **workers)
-        return run_batch(
-            session, out, arm.body.instrument, arm=arm.kinematics, calibration=calibration, workers=by, **asked
-        )
+        return run_batch(arm, out, pattern=pattern, resume=resume, workers=by)
 
 
 def batch(
@@ -202,31 +197,25 @@ def batch(
     """
     wanted.check()
     session, pictures = pictures_at(session)
-    settings, by = given.settings(), {"count": wanted.workers, "time_limit": wanted.time_limit}
     with output_folder(wanted.out, session, "results", "batch") as results:
         labelled = wanted.label is not None
-        read = read_arms(session, given, joints=wanted.joints, reading=reading, labelled=labelled)
-        calibrated.check_for(read)
-        arms = {name: wanted.with_masks(arm, segment) for name, arm in read.items()}
-        known = {name: calibrated.read(arm.body, given.instrument.arm, arm.arm) for name, arm in arms.items()}
+        read = read_arms(session, given, calibrated, joints=wanted.joints, reading=reading, labelled=labelled)
+        arms = {name: wanted.asked(arm, segment) for name, arm in read.items()}
         finished: dict[str, BatchSummary] = {}
         for name, arm in arms.items():
             finished[name] = done = estimated(
                 arm,
                 results / name,
-                scheduler=wanted.scheduler,
-                calibration=known[name],
-                lag=wanted.lag,
-                workers=by,
-                config=settings,
                 pattern=wanted.frames or pictures,
                 resume=wanted.resume,
-                segment=segment.resolve(),
+                scheduler=wanted.scheduler,
+                count=wanted.workers,
+                time_limit=wanted.time_limit,
             )
             if done.interrupted:
                 break
         doubtful = not done.interrupted and doubt_exchanged({name: each.results for name, each in finished.items()})
-        _report_all(finished, json)
+        _report_all(arms, finished, json)
         if done.interrupted:
             again = "the same command" if wanted.resume else "the same command without --overwrite"
             left = f"{done.counts['missing']} of {done.counts['frames']} frames are left"
@@ -236,7 +225,7 @@ def batch(
         return code or (DOUBTFUL if doubtful else 0)
 
 
-def _report_all(finished: Mapping[str, BatchSummary], json: bool) -> None:
+def _report_all(arms: Mapping[str, ArmInSession], finished: Mapping[str, BatchSummary], json: bool) -> None:
     """Print the summaries of all arms."""
     from dvrk_cmaes.joints.commanded import describe_commanded
 
@@ -245,7 +234,7 @@ def _report_all(finished: Mapping[str, BatchSummary], json: bool) -> None:
     answer_by_arm(documents, lines, json=json)
     for name, done in finished.items():
         commanded = done.document.get("commanded")
-        texts = [*done.setup.rig.remarks, *([describe_commanded(commanded)] if commanded else [])]
+        texts = [*arms[name].session.rig.remarks, *([describe_commanded(commanded)] if commanded else [])]
         texts += done.document.get("rig_doubts", ())
         for text in texts:
             warn(text, name)

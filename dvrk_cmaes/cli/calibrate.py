@@ -38,9 +38,8 @@ from dvrk_cmaes.errors import InputError
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.calibrate import SolvedSession
     from dvrk_cmaes.calibration.together import Begun
-    from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.joints.lag import Lag
-    from dvrk_cmaes.runs.agreement import ArmInSession
+    from dvrk_cmaes.runs.frame import ArmInSession
 
 _MOST_LISTED = 10
 _LEAST_KEYFRAMES = 3
@@ -95,18 +94,16 @@ class CalibrateOptions:
             raise InputError(f"--out: {expected}, got {place}")
 
     def share(self, arm: ArmInSession) -> ArmInSession:
-        """Return an arm with the frames of its session that match the pattern, and of these the keyframes."""
+        """Return an arm with the frames of its session that match the pattern, or keyframes of these, and settings."""
         from dvrk_cmaes.runs.keyframes import with_keyframes
         from dvrk_cmaes.runs.output import chosen_frames
-
-        chosen = replace(arm.session, frames=chosen_frames(arm.session.frames, self.frames))
-        return replace(arm, session=chosen if self.keyframes is None else with_keyframes(chosen, self.keyframes))
-
-    def settings(self, settings: EstimateConfig) -> EstimateConfig:
-        """Return settings as they are, or those of keyframes where a recording is calibrated."""
         from dvrk_cmaes.track.keyframe_problem import solved_with
 
-        return settings if self.keyframes is None else solved_with(settings)
+        chosen = replace(arm.session, frames=chosen_frames(arm.session.frames, self.frames))
+        if self.keyframes is None:
+            return replace(arm, session=chosen)
+        keyframes = with_keyframes(chosen, self.keyframes)
+        return replace(arm, session=keyframes).with_config(solved_with(arm.method.config))
 
     def asked_lag(self) -> Lag | Literal["auto"] | None:
         """Return the lag that is given, or whether it is to be found in sessions that are no recordings, too."""
@@ -164,7 +161,7 @@ def calibrate(
 
     wanted.check(session / "calibration" if wanted.out is None else wanted.out)
     with output_folder(wanted.out, session, "calibration", "calibrate") as target:
-        settings, lag, setup = wanted.settings(given.settings()), wanted.asked_lag(), read_setup_joints(session / SETUP)
+        lag, setup = wanted.asked_lag(), read_setup_joints(session / SETUP)
         read = read_arms(session, given, joints=wanted.joints, reading=reading)
         arms = {name: wanted.share(arm) for name, arm in read.items()}
         for name, arm in arms.items():
@@ -174,7 +171,7 @@ def calibrate(
 
         def begin(name: str) -> Begun[SolvedSession | None]:
             own = None if wanted.results is None else wanted.results / name
-            solve = partial(_begin_arm, settings=settings, count=wanted.workers, lag=lag)
+            solve = partial(_begin_arm, count=wanted.workers, lag=lag)
             arm = arms[name] if own is not None or not arms[name].session.guessed else _with_camera(arms[name], solve)
             if arm is None:
                 return Begun.of(None)
@@ -228,7 +225,6 @@ def _begin_arm(
     arm: ArmInSession,
     target: Path,
     *,
-    settings: EstimateConfig,
     count: int | None,
     lag: Lag | Literal["auto"] | None,
     results: Path | None = None,
@@ -238,27 +234,26 @@ def _begin_arm(
     from dvrk_cmaes.calibration.together import Begun
     from dvrk_cmaes.io.output import output
     from dvrk_cmaes.results.folder import ALONE, read_results
-    from dvrk_cmaes.runs.pool import instrument_pool, usable_cores
+    from dvrk_cmaes.runs.pool import pool_of, usable_cores
 
     session, most = arm.session, count or usable_cores()
     with ExitStack() as stack:
         stack.enter_context(output(target, "calibrate", whole=True, replaces=True, kept=(ALONE,)))
-        used = instrument_pool(arm.body.instrument, most, None if results is None else session.frames)
+        used = pool_of(arm.body, most, None if results is None else session.frames)
         processes = stack.enter_context(used)
         if results is not None:
             processes.begin()  # while the rest of the program is imported
             alone = read_results(results).frames
         else:
             results = target / ALONE
-            done = estimated(arm, results, workers={"executor": processes}, config=replace(settings, threads=1))
+            one = arm.with_config(replace(arm.method.config, threads=1))
+            done = estimated(one, results, executor=processes)
             if done.interrupted:
                 return Begun.of(None)
             alone = done.results
         from dvrk_cmaes.runs.calibrate_folder import FolderCalibration
 
-        folder = FolderCalibration(
-            arm, target, results, processes, settings, lambda stage, k: note(f"{stage}: {k} frames")
-        )
+        folder = FolderCalibration(arm, target, results, processes, lambda stage, k: note(f"{stage}: {k} frames"))
         begun = folder.begin(alone, refine_camera=refine_camera, lag=lag)
         return begun.within(stack.pop_all())
 

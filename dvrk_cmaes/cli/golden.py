@@ -12,10 +12,7 @@ from cyclopts import App, Group, Parameter
 
 from dvrk_cmaes.cli.options import (
     OUTPUT,
-    CameraOptions,
     Flag,
-    InstrumentOptions,
-    MethodOptions,
     SessionOptions,
 )
 from dvrk_cmaes.cli.session_tools import read_arms
@@ -23,7 +20,6 @@ from dvrk_cmaes.cli.terminal import DOUBTFUL, FAILED, STATUS_STYLES, Line, answe
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.evaluate.pose_check import PoseCheck
     from dvrk_cmaes.evaluate.pose_error import Tolerance
     from dvrk_cmaes.frames.frame import FrameFiles
@@ -31,7 +27,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.frames.truth import FrameTruth
     from dvrk_cmaes.instrument import Instrument
     from dvrk_cmaes.results.result import Result
-    from dvrk_cmaes.runs.agreement import ArmInSession
+    from dvrk_cmaes.runs.frame import ArmInSession
 
 TOLERANCE = Group.create_ordered("Tolerance")
 
@@ -88,9 +84,7 @@ def record(
     golden: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
     allow_doubtful: Annotated[Flag, Parameter(group=OUTPUT)] = False,
-    camera: CameraOptions = CameraOptions(),
-    instrument: InstrumentOptions = InstrumentOptions(),
-    method: MethodOptions = MethodOptions(),
+    given: SessionOptions = SessionOptions(),
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
     """Estimate all frames of a session and record their poses in its golden.json.
@@ -115,12 +109,8 @@ def record(
         Replace the file if it exists.
     allow_doubtful
         Record the poses of doubtful frames as well.
-    camera
-        The camera.
-    instrument
-        The instrument.
-    method
-        The method.
+    given
+        The arm, the camera, the instrument and the settings.
     json
         Print only a summary, as JSON, on stdout: the frames recorded and those left out.
     """
@@ -132,12 +122,11 @@ def record(
     if path.exists() and not overwrite:
         raise InputError(f"{path}: expected no file yet, got one; --overwrite replaces it")
     check_writable(path.parent)
-    config = method.resolve()
-    (arm,) = read_arms(session, SessionOptions(camera=camera, instrument=instrument), single=True).values()
+    (arm,) = read_arms(session, given, single=True).values()
     frames, model = arm.session.frames, arm.body.instrument
     kept: dict[str, FrameTruth] = {}
     left_out: dict[str, str] = {}
-    for result in tracked(_estimated(frames, arm, config), "Estimating", len(frames)):
+    for result in tracked(_estimated(frames, arm), "Estimating", len(frames)):
         if result.camera_from_root is None or (result.status != "ok" and not allow_doubtful):
             left_out[result.frame] = f"{result.status}: {'; '.join(result.reasons)}"
             continue
@@ -161,9 +150,7 @@ def check(
     *,
     golden: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     tolerance: ToleranceOptions = ToleranceOptions(),
-    camera: CameraOptions = CameraOptions(),
-    instrument: InstrumentOptions = InstrumentOptions(),
-    method: MethodOptions = MethodOptions(),
+    given: SessionOptions = SessionOptions(),
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
     """Estimate a session's frames again and compare them with its golden poses.
@@ -184,24 +171,20 @@ def check(
         File of golden poses; golden.json in the session folder by default.
     tolerance
         Largest differences.
-    camera
-        The camera.
-    instrument
-        The instrument.
-    method
-        The method.
+    given
+        The arm, the camera, the instrument and the settings.
     json
         Print only the comparison, as JSON, on stdout.
     """
     from dvrk_cmaes.frames.truth import read_golden
 
-    most, config = tolerance.resolve(), method.resolve()
+    most = tolerance.resolve()
     path = session / "golden.json" if golden is None else golden
     kept = read_golden(path).frames
-    (arm,) = read_arms(session, SessionOptions(camera=camera, instrument=instrument), single=True).values()
+    (arm,) = read_arms(session, given, single=True).values()
     _check_names(path, kept, arm.session)
     frames = [files for files in arm.session.frames if files.name in kept]
-    results = tracked(_estimated(frames, arm, config), "Estimating", len(frames))
+    results = tracked(_estimated(frames, arm), "Estimating", len(frames))
     not_checked = [files.name for files in arm.session.frames if files.name not in kept]
     more, as_twin = {"not_checked": not_checked}, tolerance.modulo_twin
     right = answer_checks(results, kept, arm.body.instrument, most, more, modulo_twin=as_twin, json=json)
@@ -221,13 +204,11 @@ def _check_names(path: Path, golden: Iterable[str], session: Session) -> None:
         raise InputError(f"{path}: frames: expected frames of {session.folder}, got {listed(gone)} too")
 
 
-def _estimated(frames: Iterable[FrameFiles], arm: ArmInSession, config: EstimateConfig) -> Iterator[Result]:
+def _estimated(frames: Iterable[FrameFiles], arm: ArmInSession) -> Iterator[Result]:
     """Estimate frames of a session one after the other; a frame with an error gives a failed result with the reason."""
-    from dvrk_cmaes.runs.worker import BatchSetup, estimated
+    from dvrk_cmaes.runs.frame import estimated
 
-    session = arm.session
-    setup = BatchSetup(arm.body.instrument, session.rig, config, arm.kinematics, session.folder)
-    return (estimated(setup, arm.body, files).result for files in frames)
+    return (estimated(arm, files).result for files in frames)
 
 
 def answer_checks(

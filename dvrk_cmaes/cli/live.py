@@ -309,7 +309,7 @@ def _described(
         if folder is not None:
             stack.enter_context(folder_of_command(folder, "live")).refuse((SESSION,))
             check_writable(folder)
-        solver = partial(SolverProcess, body.instrument, background=True)
+        solver = partial(SolverProcess, body, background=True)
         save = None if folder is None else partial(save_calibration, folder)
         arms.append(ArmSetup(names[arm], body, instrument.kinematics, known, solver, save, settings, lag))
     return LiveSetup(

@@ -21,7 +21,7 @@ from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
     from dvrk_cmaes.results.result import Result
-    from dvrk_cmaes.runs.agreement import ArmInSession
+    from dvrk_cmaes.runs.frame import ArmInSession
 
 
 def pnp(
@@ -98,7 +98,7 @@ def _by_markers(arm: ArmInSession, solver: Literal["sqpnp", "ransac"], markers: 
         raise InputError(f"{path}: marker: expected one of {', '.join(table)}, got {unknown[0]!r}")
     for files in session.frames:
         yield pose_from_markers(
-            files, session.camera, model, table, seen.get(files.name, {}), solver=solver, arm=arm.kinematics
+            files, session.camera, model, table, seen.get(files.name, {}), solver=solver, arm=arm.method.arm
         )
 
 
@@ -109,7 +109,7 @@ def _by_tips(arm: ArmInSession) -> Iterator[Result]:
 
     for files in arm.session.frames:
         data = read_frame(files, arm.session.camera)
-        yield pose_from_tips(files, data, arm.body.instrument, arm=arm.kinematics)
+        yield pose_from_tips(files, data, arm.body.instrument, arm=arm.method.arm)
 
 
 def _lines(results: list[Result], out: Path) -> Iterator[Line]:

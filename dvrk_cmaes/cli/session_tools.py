@@ -8,24 +8,25 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dvrk_cmaes.cli.options import TWIN, ReadingOptions, joint_files, load_tool
+from dvrk_cmaes.cli.options import TWIN, CalibrationOptions, ReadingOptions, joint_files, load_tool
 from dvrk_cmaes.cli.terminal import Line, answer, frames_text, note, show, warn
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import listed, no_folder
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
-    from dvrk_cmaes.cli.options import InstrumentOptions, SessionOptions
+    from dvrk_cmaes.cli.options import SessionOptions
     from dvrk_cmaes.frames.session_toml import ToolEntry
     from dvrk_cmaes.frames.video_frames import Video
     from dvrk_cmaes.geometry import Float64
     from dvrk_cmaes.results.result import Result
-    from dvrk_cmaes.runs.agreement import ArmInSession
+    from dvrk_cmaes.runs.frame import ArmInSession
 
 
 def read_arms(
     folder: Path,
     given: SessionOptions,
+    calibrated: CalibrationOptions = CalibrationOptions(),
     *,
     single: bool = False,
     joints: Sequence[Path] | None = (),
@@ -34,10 +35,10 @@ def read_arms(
     labelled: bool = False,
     ahead: bool = True,
 ) -> dict[str, ArmInSession]:
-    """Load the instruments of a session's arms, or of those asked for, and read what each sees, by folder of results.
+    """Describe the arms of a session, or those asked for, by folder of results: what each sees, and how it is solved.
 
-    That is the arm's name, or "" if the session has one tool: its results are in the folder itself. What session.toml
-    says counts where the command line says nothing.
+    That folder is the arm's name, or "" if the session has one tool: its results are in the folder itself. What
+    session.toml says counts where the command line says nothing.
 
     ``single``: whether the command works on one arm. ``joints`` and ``video`` are as in `read_session`. ``labelled``:
     whether masks of labels may be in the folder labels, as they may where session.toml names a label. With ``ahead``,
@@ -46,7 +47,8 @@ def read_arms(
     Raises
     ------
     InputError
-        An arm that the session does not name, or several for a command that works on one; as `read_session`.
+        An arm that the session does not name, or several for a command that works on one; settings or a calibration
+        that are not valid; as `read_session`.
     """
     from dvrk_cmaes.frames.session_toml import SESSION_FILE, ToolEntry, read_session_toml
 
@@ -65,30 +67,37 @@ def read_arms(
         "focal": camera.guess,
         "masks": labels if labelled and labels.is_dir() and not (folder / "masks").exists() else None,
     }
+    calibrated.check_for([tool.arm for tool in chosen])
     found = {}
     for tool in chosen:
         arm = tool.arm or None
         asked["joints"] = None if joints is None else joint_files(joints, arm)
         asked["read_as"] = reading.read_as(arm)
-        found[tool.arm if len(entries.tools) > 1 else ""] = _read_arm(
-            folder, given.instrument, tool, asked, ahead=ahead
-        )
+        read = _read_arm(folder, given, calibrated, tool, asked, ahead=ahead)
+        found[tool.arm if len(entries.tools) > 1 else ""] = read
     return found
 
 
 def _read_arm(
-    folder: Path, instrument: InstrumentOptions, tool: ToolEntry, asked: dict[str, Any], *, ahead: bool
+    folder: Path,
+    given: SessionOptions,
+    calibrated: CalibrationOptions,
+    tool: ToolEntry,
+    asked: dict[str, Any],
+    *,
+    ahead: bool,
 ) -> ArmInSession:
-    """Load the instrument of an arm, and read the session with its own masks and readings."""
+    """Load the instrument of an arm, and read the session with its own masks and readings, and its calibration."""
+    from dvrk_cmaes.estimation.one_tool import FrameMethod
     from dvrk_cmaes.frames.overlays import OVERLAID, with_overlaid
     from dvrk_cmaes.frames.session_folder import COUNTS_DIFFER, NO_READINGS, read_session
-    from dvrk_cmaes.runs.agreement import ArmInSession
+    from dvrk_cmaes.runs.frame import ArmInSession
 
-    given, own = instrument.instrument, tool.instrument
-    if given is not None:
-        if own is not None and given != own and Path(given).resolve() != Path(own).resolve():
-            warn(f"{tool.arm}: session.toml names {own}, but --instrument {given} is used")
-        tool = replace(tool, instrument=given, packages={}, root_link=None, tool=None)
+    settings, named, own = given.settings(), given.instrument.instrument, tool.instrument
+    if named is not None:
+        if own is not None and named != own and Path(named).resolve() != Path(own).resolve():
+            warn(f"{tool.arm}: session.toml names {own}, but --instrument {named} is used")
+        tool = replace(tool, instrument=named, packages={}, root_link=None, tool=None)
     body = load_tool(tool)
     session = read_session(folder, arm=tool.arm or None, known=body.instrument.joint_names, **asked)
     session = with_overlaid(session) if ahead else session
@@ -97,7 +106,9 @@ def _read_arm(
     for text in session.notes:
         if text.startswith((COUNTS_DIFFER, OVERLAID)):
             warn(f"{folder}: {text}")
-    return ArmInSession(session, body, instrument.arm or tool.kinematics or "classic", tool.arm)
+    known = calibrated.read(body, given.instrument.arm, tool.arm)
+    method = FrameMethod(given.instrument.arm or tool.kinematics or "classic", settings, known)
+    return ArmInSession(session, body, method, tool.arm)
 
 
 _MOST_REASONS = 8

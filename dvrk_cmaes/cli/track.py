@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -41,11 +41,9 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import listed, no_folder
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.calibration.together import Begun
-    from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.frames.video_frames import Video
-    from dvrk_cmaes.runs.agreement import ArmInSession
+    from dvrk_cmaes.runs.frame import ArmInSession
     from dvrk_cmaes.runs.track import TrackedArm
 
 _TOLERANCE = 0.05  # s, as of import
@@ -133,20 +131,12 @@ class TrackOptions:
         if given:
             raise InputError(f"{given[0]}: expected one arm (--only ARM), got a session of several")
 
-    def arm(
-        self,
-        name: str,
-        arm: ArmInSession,
-        target: Path,
-        place: PromptOptions,
-        config: EstimateConfig,
-        calibration: SessionCalibration | None,
-    ) -> TrackedArm:
+    def arm(self, name: str, arm: ArmInSession, target: Path, place: PromptOptions) -> TrackedArm:
         """Say how an arm of a recording is followed; ``place`` is where it is in the first image."""
         from dvrk_cmaes.joints.lag import Lag
+        from dvrk_cmaes.runs.frame import hints_of
         from dvrk_cmaes.runs.track import TrackedArm, TrackSettings
         from dvrk_cmaes.runs.track_inputs import used_session, with_first_mask, with_increasing_times
-        from dvrk_cmaes.runs.worker import hints_of
         from dvrk_cmaes.segment.segmentation import hints_within
 
         timed, doubled = with_increasing_times(arm.session)
@@ -154,22 +144,18 @@ class TrackOptions:
             warn(f"left out, for they have the time of the frame before: {listed(doubled)}")
         used, evidence = used_session(timed, self.evidence)
         hints = hints_of(used.frames[0]) if place == PromptOptions() else None
+        method = replace(arm.method, hints=hints or hints_within(place.hints(), used.frames[0].crop))
+        used = with_first_mask(used, self.first_mask)
         same = ("every", "causal", "workers", "resume", "video", "page", "rerun")
         settings = TrackSettings(
-            config=config,
-            arm=arm.kinematics,
-            calibration=calibration,
             lag=None if self.lag == AUTO else Lag.parse("--lag", self.lag).in_seconds(self.fps),
             use_joints=self.joints != NO_READINGS,
             frames_a_second=self.fps,
             evidence=evidence,
-            hints=hints or hints_within(place.hints(), used.frames[0].crop),
             **{field: getattr(self, field) for field in same},
         )
         notice = note if not name else lambda text: note(f"{name}: {text}")
-        return TrackedArm(
-            with_first_mask(used, self.first_mask), target / name, arm.body, settings, name, notice=notice
-        )
+        return TrackedArm(replace(arm, session=used, method=method), target / name, settings, notice=notice)
 
 
 def track(
@@ -225,13 +211,10 @@ def track(
         folder, video = _session_of(session, follow, target, given.camera)
         files = (() if follow.readings is None else (follow.readings,)) if follow.joints != NO_READINGS else None
 
-        read = read_arms(folder, given, joints=files, video=video, ahead=not follow.causal)
-        calibrated.check_for(read)
+        read = read_arms(folder, given, calibrated, joints=files, video=video, ahead=not follow.causal)
         if len(read) > 1:
             follow.check_for_several(place)
-        method = given.settings()
-        known = {name: calibrated.read(arm.body, given.instrument.arm, arm.arm) for name, arm in read.items()}
-        arms = {name: follow.arm(name, arm, target, place, method, known[name]) for name, arm in read.items()}
+        arms = {name: follow.arm(name, arm, target, place) for name, arm in read.items()}
         finished = _followed(arms)
         interrupted = len(finished) < len(arms) or any(arm.interrupted for arm in finished.values())
         doubts = [] if interrupted or len(arms) == 1 else _compared(folder, finished, target, quiet=json)

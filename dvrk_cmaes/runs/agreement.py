@@ -7,7 +7,7 @@ frames.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Final
@@ -17,13 +17,10 @@ import numpy as np
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import ecm_readings
 from dvrk_cmaes.evaluate.consistency import spread_of_bases
-from dvrk_cmaes.frames.session_folder import Session
-from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.pose.doubts import BASE_APART, base_apart
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.output import update_result
-from dvrk_cmaes.silhouette import Body
 
 _LEAST_FRAMES: Final = 3
 _FACTOR: Final = 2.0  # of the squared distances from the own readings and from those of the other tool
@@ -31,16 +28,6 @@ _JOINTS: Final = ("wrist_pitch", "wrist_yaw", "jaw")
 _LEAST_FOLLOWED: Final = 15  # frames at the end of a recording
 _LEAST_OFF: Final = np.deg2rad(30)  # from the own readings there, of both tools together; more than cables explain
 _LEAST_SHARED: Final = 0.75  # share of the frames in which one of two tools is not ok that must not be ok for both
-
-
-@dataclass(frozen=True, eq=False)
-class ArmInSession:
-    """An arm of a session: the session as it sees it, its instrument, kinematics and name, empty if it has none."""
-
-    session: Session
-    body: Body
-    kinematics: Arm
-    arm: str = ""
 
 
 def exchanged_arms(found: Mapping[str, Mapping[str, Result]], *, followed: bool = False) -> list[str]:

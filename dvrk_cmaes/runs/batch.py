@@ -14,14 +14,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.config import EstimateConfig, TrustConfig
+from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.export.pose_texts import table_text
 from dvrk_cmaes.frames.frame import FrameFiles
-from dvrk_cmaes.frames.session_folder import Session
-from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import write_json, write_text
 from dvrk_cmaes.io.output import Output, output
 from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
@@ -31,7 +27,15 @@ from dvrk_cmaes.results.pose_rows import pose_rows
 from dvrk_cmaes.results.result import Result, Status
 from dvrk_cmaes.runs.agreement import compare_bases
 from dvrk_cmaes.runs.backgrounds import with_backgrounds
-from dvrk_cmaes.runs.frame import FrameOutcome, write_outcome
+from dvrk_cmaes.runs.frame import (
+    ArmInSession,
+    FrameOutcome,
+    failed_outcome,
+    relative_text,
+    run_task,
+    shared,
+    write_outcome,
+)
 from dvrk_cmaes.runs.manifest import (
     check_same_frames,
     check_same_settings,
@@ -50,18 +54,10 @@ from dvrk_cmaes.runs.output import (
     refuse_strange_results,
     results_of,
 )
-from dvrk_cmaes.runs.pool import Pool, WorkerDied, usable_cores
+from dvrk_cmaes.runs.pool import WorkerDied, pool_of, usable_cores
 from dvrk_cmaes.runs.pool import Workers as Executors
 from dvrk_cmaes.runs.pool import run as run_tasks
 from dvrk_cmaes.runs.summary import summarize, timing_of
-from dvrk_cmaes.runs.worker import (
-    BatchSetup,
-    failed_outcome,
-    packed_setup,
-    prepare_process,
-    relative_text,
-    run_task,
-)
 from dvrk_cmaes.segment.segmentation import SegmentSettings
 
 TIME_LIMIT = 600.0
@@ -92,7 +88,7 @@ class BatchSummary:
 
     ``folder`` has the results; ``counts`` has the numbers of its frames by status and the number ``missing``; ``ran``
     is the number of frames estimated by this run. ``document`` is the content of summary.json, ``results`` are all
-    results in the folder by frame. ``setup`` and ``frames`` are what was run, and the files by frame.
+    results in the folder by frame.
     """
 
     folder: Path
@@ -101,40 +97,27 @@ class BatchSummary:
     interrupted: bool
     document: dict[str, Any]
     results: dict[str, Result]
-    setup: BatchSetup
-    frames: dict[str, FrameFiles]
 
 
 def run_batch(
-    session: Session,
+    arm: ArmInSession,
     out: str | Path,
-    instrument: Instrument,
     *,
-    config: EstimateConfig | None = None,
-    arm: Arm = "classic",
-    segment: SegmentSettings | None = None,
-    calibration: SessionCalibration | None = None,
     pattern: str | None = None,
     resume: bool = True,
     workers: Workers | None = None,
 ) -> BatchSummary:
-    """Estimate the frames of a session that have no result in a folder yet, and write results, tables and page.
+    """Estimate the frames of an arm that have no result in a folder yet, and write results, tables and page.
 
     The results do not depend on workers, executor or order. Worker processes are spawned, so a script that
     calls this function must do so below ``if __name__ == "__main__":``.
 
     Parameters
     ----------
-    session, instrument
-        The session and the instrument. The workers must find the session's files under the same paths.
+    arm
+        The arm. The workers must find the session's files under the same paths; the threads are those of each worker.
     out
         Folder of the results.
-    config, arm
-        As in `estimate`; the threads are those of each worker.
-    segment
-        How masks are found in the images of frames that have no mask.
-    calibration
-        The session's calibration, from whose predictions frames are started.
     pattern
         Shell pattern (``*``, ``?``, ``[..]``) of the names of the frames to do.
     resume
@@ -150,39 +133,37 @@ def run_batch(
     DvrkCmaesError
         Another batch is writing to the folder, the disk is full, or workers cannot be started or were lost.
     """
-    workers, settings, out = workers or Workers(), config or EstimateConfig(), Path(out)
-    check_config(settings)
-    names = instrument.joint_names
+    workers, out, session, method = workers or Workers(), Path(out), arm.session, arm.method
+    check_config(method.config)
+    names = arm.body.instrument.joint_names
     commanded = commanded_in([files.readings for files in session.frames], names)
-    settings = with_commanded(settings, commanded, names)
     notes = (describe_commanded(commanded),) if commanded else ()
     absolute = (_with_absolute_paths(files, session.folder) for files in session.frames)
     frames = chosen_frames([replace(files, notes=(*files.notes, *notes)) for files in absolute], pattern)
     check_names(out, frames)
-    home = Path(os.path.abspath(session.folder))
-    masks = with_backgrounds(segment or SegmentSettings(), session.frames, session.rig.names)
-    setup = BatchSetup(instrument, session.rig, settings, arm, home, masks, calibration)
+    masks = with_backgrounds(method.segment or SegmentSettings(), session.frames, session.rig.names)
+    method = replace(method, config=with_commanded(method.config, commanded, names), segment=masks)
+    arm = replace(arm, method=method, session=replace(session, folder=Path(os.path.abspath(session.folder))))
     started = time.monotonic()
     with output(out, COMMAND, replaces=not resume) as own:
         if not resume:
             own.refuse((*TABLES, *results_of([files.name for files in frames], session.rig.names)))
             own.clear()
-        todo, kept = _prepare(out, own, setup, frames, session=[files.name for files in session.frames])
+        todo, kept = _prepare(out, own, arm, frames)
         if kept:
             workers.notice(f"results are there of {len(kept)} frames, {len(todo)} are to be done")
         for text in masks.notes:
             workers.notice(text)
         ran, statuses = 0, Counter[str](kept)
         workers.progress(ran, len(todo), statuses)
-        for outcome in outcomes(setup, todo, workers):
+        for outcome in outcomes(arm, todo, workers):
             write_outcome(out, outcome)
             ran += 1
             statuses[outcome.result.status] += 1
             workers.progress(ran, len(todo), statuses)
-        finished = finish(out, timing_of(ran, time.monotonic() - started), settings.trust)
+        finished = finish(out, timing_of(ran, time.monotonic() - started), method.config.trust)
     document, interrupted = finished.summary or {}, workers.stop.is_set() and ran < len(todo)
-    counts, files = document["counts"], {each.name: each for each in frames}
-    return BatchSummary(out, counts, ran, interrupted, document, finished.frames, setup, files)
+    return BatchSummary(out, document["counts"], ran, interrupted, document, finished.frames)
 
 
 def finish(
@@ -217,15 +198,13 @@ def finish(
 
 
 def _prepare(
-    folder: Path, own: Output, setup: BatchSetup, frames: Sequence[FrameFiles], *, session: Sequence[str]
+    folder: Path, own: Output, arm: ArmInSession, frames: Sequence[FrameFiles]
 ) -> tuple[list[FrameFiles], list[Status]]:
-    """Write the manifest, and return the frames to do and the statuses of the frames whose results are kept.
-
-    ``session`` are the names of the frames of the whole session.
-    """
+    """Write the manifest, and return the frames to do and the statuses of the frames whose results are kept."""
     own.refuse(TABLES)
+    session = [files.name for files in arm.session.frames]
     digests = {files.name: frame_stamps(files) for files in frames}
-    manifest, old = manifest_of(setup, digests), read_manifest(folder)
+    manifest, old = manifest_of(arm, digests), read_manifest(folder)
     kept: dict[str, Status] = {}
     if old is not None:
         kept = {name: status for name, status in complete_results(folder).items() if status != "failed"}
@@ -235,27 +214,25 @@ def _prepare(
         refuse_strange_results(folder, digests, session)
         manifest = with_frames(old if kept else {**manifest, "frames": old["frames"]}, digests)
     todo = [files for files in frames if files.name not in kept]
-    own.refuse(results_of([files.name for files in todo], setup.rig.names))
+    own.refuse(results_of([files.name for files in todo], arm.session.rig.names))
     own.describe(manifest)
     return todo, [kept[files.name] for files in frames if files.name in kept]
 
 
-def outcomes(setup: BatchSetup, todo: Sequence[FrameFiles], workers: Workers) -> Iterator[FrameOutcome]:
+def outcomes(arm: ArmInSession, todo: Sequence[FrameFiles], workers: Workers) -> Iterator[FrameOutcome]:
     """Yield the outcomes of frames in the order of completion, by the workers that are given or by its own."""
     if not todo:
         return
     given, stop = workers.executor, workers.stop
-    packed = packed_setup(setup)
-    call = functools.partial(run_task, packed)
+    call = functools.partial(run_task, *shared(arm))
     with ExitStack() as opened:
         if given is None:
-            most = workers.count or max(1, usable_cores() // setup.config.threads)
-            start = functools.partial(prepare_process, packed)
-            given = opened.enter_context(Pool(start, min(most, len(todo))))
+            most = workers.count or max(1, usable_cores() // arm.method.config.threads)
+            given = opened.enter_context(pool_of(arm.body, min(most, len(todo))))
         used = given if isinstance(given, Executors) else Executors(given, lambda: 2 * usable_cores())
         done = run_tasks(used, todo, call, time_limit=workers.time_limit, stop=stop)
         for files, outcome in opened.enter_context(closing(done)):
-            yield failed_outcome(setup, files, outcome.reason) if isinstance(outcome, WorkerDied) else outcome
+            yield failed_outcome(arm, files, outcome.reason) if isinstance(outcome, WorkerDied) else outcome
 
 
 def _with_absolute_paths(files: FrameFiles, folder: Path) -> FrameFiles:

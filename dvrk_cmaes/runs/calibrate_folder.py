@@ -38,12 +38,11 @@ from dvrk_cmaes.results.paths import (
     result_path,
 )
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.agreement import ArmInSession
 from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.calibration_pictures import draw_task
-from dvrk_cmaes.runs.manifest import frame_stamps, instrument_digest, manifest_of
+from dvrk_cmaes.runs.frame import ArmInSession
+from dvrk_cmaes.runs.manifest import frame_stamps, manifest_of
 from dvrk_cmaes.runs.pool import Pool, run_with_body
-from dvrk_cmaes.runs.worker import BatchSetup
 
 CAMERA = "camera.yaml"
 """File of the camera with which the session was solved, where that is not the session's own; of a rig, VIEW.yaml."""
@@ -54,7 +53,7 @@ class FolderCalibration:
     """The calibration of an arm's session folder from its frames' own results, of which all files are written.
 
     ``alone`` is the folder of those results; masks that were found in images, and overlays of frames that are left out,
-    are taken from there. ``processes`` are those of `instrument_pool`. All files are written to a temporary folder,
+    are taken from there. ``processes`` are those of `pool_of`. All files are written to a temporary folder,
     which takes the place of an earlier ``out`` when it is whole.
     """
 
@@ -62,7 +61,6 @@ class FolderCalibration:
     out: Path
     alone: Path
     processes: Pool
-    config: EstimateConfig
     progress: Callable[[str, int], None]
 
     @cached_property
@@ -74,12 +72,12 @@ class FolderCalibration:
     def _used(self) -> EstimateConfig:
         """The settings, for masks that were found, if some were."""
         given = all(each.has_mask for each in self.arm.session.frames)
-        return self.config if given else self.config.with_found_masks()
+        return self.arm.method.config if given else self.arm.method.config.with_found_masks()
 
     @property
     def _run(self) -> Run[Any, Any]:
         """Applies a function to many tasks."""
-        return functools.partial(run_with_body, self.processes, instrument_digest(self.arm.body.instrument), self._used)
+        return functools.partial(run_with_body, self.processes, self.arm.body, self._used)
 
     def begin(
         self, results: Mapping[str, Result], *, refine_camera: bool, lag: Lag | Literal["auto"] | None
@@ -107,7 +105,7 @@ class FolderCalibration:
             frames.append(SessionFrame(name, reader, result, own.keypoints))
         series, refined = session.reading_series(), (refine_camera or session.guessed, session.guessed)
         used = self._used, self._run, self.progress
-        problem = ArmSetup(series, instrument, self.arm.kinematics, *used, *refined, lag=lag)
+        problem = ArmSetup(series, instrument, self.arm.method.arm, *used, *refined, lag=lag)
         return begin_arm(frames, problem).then(self._written)
 
     def _written(self, found: tuple[SolvedSession, dict[str, Evidence]]) -> SolvedSession:
@@ -136,10 +134,10 @@ class FolderCalibration:
                 write_json(result_path(place, name), result.to_dict())
             write_cameras(calibration, session.rig, place)
             write_json(place / SESSION, calibration.to_dict())
-            setup = BatchSetup(self.arm.body.instrument, session.rig, self.config, self.arm.kinematics, session.folder)
             stamps = {own.name: frame_stamps(own) for own in session.frames if own.name in solved.results}
-            opened_output(place).describe(manifest_of(setup, stamps) | {"solved": "together"})
-            finish(place, trust=self.config.trust)
+            manifest = manifest_of(replace(self.arm, session=session), stamps)
+            opened_output(place).describe(manifest | {"solved": "together"})
+            finish(place, trust=self.arm.method.config.trust)
         return solved
 
 

@@ -1,26 +1,51 @@
-"""One frame, from its files to its result and overlay: what every command does with a frame."""
+"""One frame of an arm, from its files to its result and overlay: what every command does with a frame."""
 
 from __future__ import annotations
 
+import os
+import traceback
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.overlay import draw_failed
 from dvrk_cmaes.draw.view_overlays import draw_views
+from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.estimation import estimate_views
 from dvrk_cmaes.estimation.one_tool import FrameMethod
-from dvrk_cmaes.frames.frame import FrameData, FrameFiles, readable
+from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame, readable
 from dvrk_cmaes.frames.images import read_image
+from dvrk_cmaes.frames.session_folder import Session
+from dvrk_cmaes.frames.truth import SessionTruth
 from dvrk_cmaes.io.atomic import encoded_image, json_text
 from dvrk_cmaes.io.output import LONG, output, remove, write_bytes
 from dvrk_cmaes.results.paths import check_output, mask_path, overlay_path, result_path
 from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.runs.pool import limit_library_threads, packed, unpacked
+from dvrk_cmaes.segment.segmentation import Hints, hints_within
 from dvrk_cmaes.silhouette import Body
+
+
+@dataclass(frozen=True, eq=False)
+class ArmInSession:
+    """An arm of a session: the session as it sees it, its instrument, and how its frames are solved.
+
+    ``name`` is that in session.toml, empty without one.
+    """
+
+    session: Session
+    body: Body
+    method: FrameMethod
+    name: str = ""
+
+    def with_config(self, config: EstimateConfig) -> ArmInSession:
+        """Return the arm with other settings."""
+        return replace(self, method=replace(self.method, config=config))
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,3 +136,61 @@ def draw_failed_frame(result: Result, files: FrameFiles) -> NDArray[np.uint8] | 
     """Draw a frame without a pose: its image or else its mask, (H, W, 3) BGR; None if neither can be read."""
     pictures = (readable(partial(read_image, path)) for path in (files.image, files.mask) if path is not None)
     return next((draw_failed(result, picture) for picture in pictures if picture is not None), None)
+
+
+def estimated(arm: ArmInSession, files: FrameFiles) -> FrameOutcome:
+    """Read and estimate one frame of an arm, whose result has failed where that is not possible; never raises."""
+    try:
+        frame = read_frame(files, arm.session.rig)
+        frame = replace(frame, notes=tuple(relative_text(arm.session.folder, note) for note in frame.notes))
+        return outcome_of(files, frame, arm.body, replace(arm.method, hints=hints_of(files)))
+    except DvrkCmaesError as error:
+        reason = str(error)
+    except MemoryError:
+        reason = "out of memory: try fewer workers, or a smaller image"
+    except Exception as error:  # an error in one frame must not end the batch
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        reason = f"internal error, {type(error).__name__} at {Path(place.filename).name}:{place.lineno}: {error}"
+    return failed_outcome(arm, files, reason)
+
+
+def run_task(body: bytes, given: bytes, home: int, files: FrameFiles) -> FrameOutcome:
+    """Estimate one frame in any process; arguments as of `shared`."""
+    if os.getpid() != home:
+        limit_library_threads()
+    session, method = unpacked(given)
+    return estimated(ArmInSession(session, unpacked(body), method), files)
+
+
+def shared(arm: ArmInSession) -> tuple[bytes, bytes, int]:
+    """Return what a process needs of an arm to estimate any frame of it, pickled, and the number of this process."""
+    session = Session(arm.session.folder, arm.session.rig, (), SessionTruth())
+    return packed(arm.body), packed((session, arm.method)), os.getpid()
+
+
+def failed_outcome(arm: ArmInSession, files: FrameFiles, reason: str) -> FrameOutcome:
+    """Return the outcome of a frame that has no pose, for a reason."""
+    config, instrument = arm.method.config, arm.body.instrument
+    result = Result.failed(
+        files.name,
+        relative_text(arm.session.folder, reason),
+        files.readings,
+        **instrument.stated,
+        warnings=files.notes,
+        remarks=arm.session.rig.remarks,
+        time=files.time,
+        seed=config.seed,
+        config={**config.as_dict(), "instrument": instrument.describe_limits(arm.method.arm)},
+    )
+    drawing = draw_failed_frame(result, files)
+    return FrameOutcome(result, None if drawing is None else encoded_image("overlay.jpg", drawing))
+
+
+def hints_of(files: FrameFiles) -> Hints | None:
+    """Return the prompts of a frame for its segmentation; None without any."""
+    return None if files.prompts is None else hints_within(files.prompts, files.crop)
+
+
+def relative_text(folder: Path, text: str) -> str:
+    """Return a text on one line with paths relative to the session's folder, the same wherever that folder lies."""
+    return " ".join(text.replace(f"{folder}{os.sep}", "").splitlines())

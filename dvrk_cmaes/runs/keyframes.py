@@ -34,10 +34,9 @@ from dvrk_cmaes.geometry import Bool, Posed
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.frame import estimate_frame
+from dvrk_cmaes.runs.frame import estimate_frame, hints_of
 from dvrk_cmaes.runs.recording import RecordedFrames, RecordedSolution, predict, read_seen
 from dvrk_cmaes.runs.track_inputs import series_of
-from dvrk_cmaes.runs.worker import hints_of
 from dvrk_cmaes.segment.segmentation import GUESS, Hints, SegmentSettings
 from dvrk_cmaes.segment.shaft_pairs import prompts_in
 from dvrk_cmaes.segment.silhouette_prior import segment_first

@@ -26,9 +26,10 @@ from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed, natural
 from dvrk_cmaes.io.typed_document import convert_document
 from dvrk_cmaes.results.folder import MANIFEST
+from dvrk_cmaes.segment.segmentation import SegmentSettings
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.runs.worker import BatchSetup
+    from dvrk_cmaes.runs.frame import ArmInSession
 
 _FILES = ("mask", "image", "ignore")
 _LENGTH = 16
@@ -109,23 +110,24 @@ class _ManifestFields(msgspec.Struct):
     frames: dict[str, dict[str, str]]
 
 
-def manifest_of(setup: BatchSetup, frames: FrameParts) -> Manifest:
-    """Return the manifest of a batch; ``frames`` are the stamps of each frame's parts."""
-    segment = setup.segment
+def manifest_of(arm: ArmInSession, frames: FrameParts) -> Manifest:
+    """Return the manifest of a command that works on an arm; ``frames`` are the stamps of each frame's parts."""
+    instrument, method = arm.body.instrument, arm.method
+    segment, views = method.segment or SegmentSettings(), arm.session.rig.views
     backgrounds = {view: digest_of(background) for view, background in sorted(segment.backgrounds.items())}
     return {
         "version": __version__,
-        "instrument": {"name": setup.instrument.name, "digest": instrument_digest(setup.instrument)},
-        "arm": setup.arm,
-        "cameras": digest_of([replace(view, camera=replace(view.camera, remarks=())) for view in setup.rig.views]),
-        "config": setup.config.as_dict(),
+        "instrument": {"name": instrument.name, "digest": instrument_digest(instrument)},
+        "arm": method.arm,
+        "cameras": digest_of([replace(view, camera=replace(view.camera, remarks=())) for view in views]),
+        "config": method.config.as_dict(),
         "segment": {
             "model": segment.model,
             "weights": None if segment.weights is None else str(segment.weights),
             "backgrounds": backgrounds,
         },
-        "calibration": None if setup.calibration is None else digest_of(json_text(setup.calibration.to_dict())),
-        "session": str(setup.folder),
+        "calibration": None if method.session is None else digest_of(json_text(method.session.to_dict())),
+        "session": str(arm.session.folder),
         "frames": _sorted(frames),
     }
 

@@ -38,7 +38,6 @@ from dvrk_cmaes.runs.live_session import prepare_long_run
 
 if TYPE_CHECKING:
     from dvrk_cmaes.config import EstimateConfig
-    from dvrk_cmaes.instrument import Instrument
     from dvrk_cmaes.silhouette import Body
 
 T = TypeVar("T")
@@ -47,6 +46,7 @@ R = TypeVar("R")
 _GROUPS: Final = 8  # of tasks for each process, where their values are wanted together
 _DIED: Final = "its process died twice: out of memory, or a crash in a native library"
 _PAYS: Final = 4  # frames of a calibration from which on one process more is sooner done: its start takes about two
+_MOST_SHARED: Final = 4  # values that a process keeps for its tasks
 _STUCK: Final = 30.0  # s after its time limit, after which a process that is in native code is ended
 
 
@@ -370,6 +370,30 @@ def _exit_after(parent: BaseProcess) -> None:
     os._exit(1)
 
 
+_shared: dict[bytes, Any] = {}
+
+
+@functools.lru_cache(maxsize=_MOST_SHARED)
+def packed(value: Any) -> bytes:
+    """Pickle what many tasks share, which each process unpickles once by `unpacked`, and this one not at all."""
+    data = pickle.dumps(value, protocol=pickle.HIGHEST_PROTOCOL)
+    _keep(data, value)
+    return data
+
+
+def unpacked(data: bytes) -> Any:
+    """Return what was pickled by `packed`."""
+    if data not in _shared:
+        _keep(data, pickle.loads(data))
+    return _shared[data]
+
+
+def _keep(data: bytes, value: Any) -> None:
+    while len(_shared) >= _MOST_SHARED:
+        _shared.pop(next(iter(_shared)), None)
+    _shared[data] = value
+
+
 @functools.cache
 def limit_library_threads() -> threadpool_limits:
     """Limit OpenCV and the BLAS libraries of this process to one thread each; the cores are used by processes."""
@@ -389,9 +413,9 @@ def single_library_threads() -> Iterator[None]:
         cv2.setNumThreads(before)
 
 
-def instrument_pool(instrument: Instrument, workers: int, frames: Sized | None = None) -> Pool:
-    """Return processes in which an instrument is prepared: of ``frames``, this one and as many others as they pay."""
-    start = functools.partial(_prepare, instrument)
+def pool_of(body: Body, workers: int, frames: Sized | None = None) -> Pool:
+    """Return processes that have an instrument: of ``frames``, this one and as many others as they pay."""
+    start = functools.partial(_prepare, packed(body))
     return Pool(start, workers) if frames is None else Pool(start, processes_beside(workers, len(frames)), here=True)
 
 
@@ -402,30 +426,25 @@ def processes_beside(workers: int, frames: int) -> int:
 
 def run_with_body(
     pool: Pool,
-    key: str,
+    body: Body,
     config: EstimateConfig,
     function: Callable[[Body, EstimateConfig, Any], Any],
     tasks: Sequence[Any],
 ) -> list[Any]:
-    """Return the values of a function of body, settings and task, in the order of the tasks.
-
-    ``key`` is the digest of the instrument that is prepared in the processes. Errors as `Pool.values`.
-    """
-    return pool.values(functools.partial(_with_body, key, config, function), tasks)
+    """Return the values of a function of body, settings and task, in the tasks' order; errors as of `Pool.values`."""
+    return pool.values(functools.partial(_with_body, packed(body), config, function), tasks)
 
 
-def _prepare(instrument: Instrument) -> None:
-    """Build the instrument's scenes in a process, and import what its tasks need; scenes cannot be sent back."""
+def _prepare(body: bytes) -> None:
+    """Unpickle the instrument in a process, and import what its tasks need."""
     import dvrk_cmaes.runs.calibration_pictures  # noqa: F401
-    from dvrk_cmaes.runs.worker import prepare_instrument
 
-    prepare_instrument(instrument)
+    unpacked(body)
 
 
 def _with_body(
-    key: str, config: EstimateConfig, function: Callable[[Body, EstimateConfig, Any], Any], task: Any
+    body: bytes, config: EstimateConfig, function: Callable[[Body, EstimateConfig, Any], Any], task: Any
 ) -> Any:
-    from dvrk_cmaes.runs.worker import prepared_body
     from dvrk_cmaes.silhouette.prepare import body_by
 
-    return function(body_by(prepared_body(key), config.silhouette.method), config, task)
+    return function(body_by(unpacked(body), config.silhouette.method), config, task)

@@ -12,11 +12,10 @@ from functools import partial
 from typing import Any, TypeVar
 
 from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.live_session import give_back_memory
-from dvrk_cmaes.runs.manifest import instrument_digest
-from dvrk_cmaes.runs.pool import Pool
+from dvrk_cmaes.runs.pool import Pool, packed, unpacked
+from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
 
 R = TypeVar("R")
@@ -33,7 +32,7 @@ class SolverProcess(ExitStack):
 
     Parameters
     ----------
-    instrument
+    body
         The instrument.
     threads
         Number of threads of the process.
@@ -41,10 +40,10 @@ class SolverProcess(ExitStack):
         Whether the process is given processor time only where others do not need it.
     """
 
-    def __init__(self, instrument: Instrument, *, threads: int = 1, background: bool = False) -> None:
+    def __init__(self, body: Body, *, threads: int = 1, background: bool = False) -> None:
         super().__init__()
-        self._threads, self._key = threads, instrument_digest(instrument)
-        self._process = self.enter_context(Pool(partial(_prepare, instrument, background), 1))
+        self._threads, self._body = threads, packed(body)
+        self._process = self.enter_context(Pool(partial(_prepare, self._body, background), 1))
         self._asking = self.enter_context(ThreadPoolExecutor(1))
         self._ended = False
         self.callback(self._end)
@@ -91,11 +90,11 @@ class SolverProcess(ExitStack):
         give_back_memory()
         return solution
 
-    def _called(self, function: Callable[[str, T, int], R], task: T) -> R:
+    def _called(self, function: Callable[[bytes, T, int], R], task: T) -> R:
         """Call a function with the instrument in the process; one that has died is started again, once."""
         for _ in range(_TRIES):
             try:
-                return self._process.submit(function, self._key, task, self._threads).result()
+                return self._process.submit(function, self._body, task, self._threads).result()
             except (BrokenProcessPool, CancelledError):
                 self._process.kill()
                 if self._ended:
@@ -109,26 +108,20 @@ class SolverProcess(ExitStack):
         self._process.kill()
 
 
-def _prepare(instrument: Instrument, background: bool) -> None:
-    """Prepare the instrument in the process."""
-    from dvrk_cmaes.runs.worker import prepare_instrument
-
+def _prepare(body: bytes, background: bool) -> None:
+    """Unpickle the instrument in the process."""
     if background and hasattr(os, "nice"):
         os.nice(10)
-    prepare_instrument(instrument)
+    unpacked(body)
 
 
-def _estimate(key: str, task: KeyframeTask, threads: int) -> Result:
-    """Estimate a keyframe by itself with the instrument whose digest is ``key``."""
-    from dvrk_cmaes.runs.worker import prepared_body
-
-    return task.estimate(prepared_body(key), threads)
+def _estimate(body: bytes, task: KeyframeTask, threads: int) -> Result:
+    """Estimate a keyframe by itself."""
+    return task.estimate(unpacked(body), threads)
 
 
-def _solve(key: str, problem: KeyframeProblem, threads: int) -> Solution:
-    """Solve a problem with the instrument whose digest is ``key``."""
-    from dvrk_cmaes.runs.worker import prepared_body
-
-    solution = problem.solve(prepared_body(key), threads)
+def _solve(body: bytes, problem: KeyframeProblem, threads: int) -> Solution:
+    """Solve a problem."""
+    solution = problem.solve(unpacked(body), threads)
     give_back_memory()
     return solution

@@ -20,12 +20,9 @@ import numpy as np
 from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
 from dvrk_cmaes.calibration.session_problem import ArmSetup
 from dvrk_cmaes.calibration.together import Begun, Outcome
-from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles
-from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import write_json, write_text
 from dvrk_cmaes.io.encode import encoded
 from dvrk_cmaes.io.output import appended, output, remove
@@ -38,24 +35,22 @@ from dvrk_cmaes.results.folder import SESSION
 from dvrk_cmaes.results.paths import check_writable
 from dvrk_cmaes.results.track_files import TABLE, TRACKS, VIDEO, line_of, read_tracks, write_table
 from dvrk_cmaes.results.tracked import TrackResult
+from dvrk_cmaes.runs.frame import ArmInSession
 from dvrk_cmaes.runs.keyframes import begin_images, begin_keyframes
 from dvrk_cmaes.runs.manifest import (
     Manifest,
     check_same_frames,
     check_same_settings,
     frame_stamps,
-    instrument_digest,
     manifest_of,
     read_manifest,
 )
-from dvrk_cmaes.runs.pool import instrument_pool, run_with_body, usable_cores
+from dvrk_cmaes.runs.pool import pool_of, run_with_body, usable_cores
 from dvrk_cmaes.runs.recording import RecordedFrames, RecordedSolution, follow_window
 from dvrk_cmaes.runs.solver_process import SolverProcess
 from dvrk_cmaes.runs.track_inputs import FRAMES_A_SECOND, TrackClock, files_of_views, read_arrays, series_of
 from dvrk_cmaes.runs.track_outputs import write_outputs
-from dvrk_cmaes.runs.worker import BatchSetup
 from dvrk_cmaes.segment.segmentation import Hints
-from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track import Tracker
 from dvrk_cmaes.track.keyframe_problem import SolutionSchedule
 from dvrk_cmaes.track.view_segmenter import EvidenceKind
@@ -75,16 +70,12 @@ class TrackSettings:
     ``workers`` is the number of processes that fit a recording with its own calibration; by default that of the cores.
     """
 
-    config: EstimateConfig
-    arm: Arm = "classic"
-    calibration: SessionCalibration | None = None
     lag: float | None = None
     every: int = 1
     use_joints: bool = True
     frames_a_second: float = FRAMES_A_SECOND
     causal: bool = False
     evidence: EvidenceKind | None = None
-    hints: Hints | None = None
     workers: int | None = None
     resume: bool = True
     video: bool = True
@@ -97,12 +88,12 @@ class TrackedArm:
 
     Parameters
     ----------
-    session, body, settings
-        The session; the instrument; what is followed and how.
+    arm
+        The arm; the hints of its method are those of the first frame.
     out
         Folder of the results.
-    name
-        The name of the arm, if it is one of several.
+    settings
+        What is followed and how.
     notice
         Called with a line about each stage of a recording that is solved by its keyframes, or why it is not.
 
@@ -112,25 +103,23 @@ class TrackedArm:
 
     def __init__(
         self,
-        session: Session,
+        arm: ArmInSession,
         out: Path,
-        body: Body,
         settings: TrackSettings,
-        name: str = "",
         *,
         notice: Callable[[str], None] = lambda text: None,
     ) -> None:
-        every, joints = session.frames[:: settings.every], body.instrument.joint_names
+        every, joints = arm.session.frames[:: settings.every], arm.body.instrument.joint_names
         self.frames = tuple(replace(files, problem=None, unread=False) if files.unread else files for files in every)
-        self.clock = TrackClock.of(session, self.frames, settings.frames_a_second, use_joints=settings.use_joints)
+        self.clock = TrackClock.of(arm.session, self.frames, settings.frames_a_second, use_joints=settings.use_joints)
         readings = [files.readings for files in self.frames] if settings.use_joints else []
         commanded = commanded_in(readings, joints)
         self._remarks = (describe_commanded(commanded),) if commanded else ()
-        self.session, self.out, self.body, self.name = session, out, body, name
-        self.settings = replace(settings, config=with_commanded(settings.config, commanded, joints))
+        self.arm = arm.with_config(with_commanded(arm.method.config, commanded, joints))
+        self.session, self.body, self.out, self.settings = arm.session, arm.body, out, settings
         self._notice, self._stop = notice, threading.Event()
         self._opened, self._finished = ExitStack(), False
-        given = settings.calibration
+        given = arm.method.session
         self._given = given if given is None or settings.lag is None else replace(given, lag=None)
         self._work: ArmSetup | None = None
         self._solution: RecordedSolution | str | None = None  # or why there is none
@@ -204,16 +193,16 @@ class TrackedArm:
 
     def _begin_keyframes(self, stack: ExitStack) -> Begun[RecordedSolution | str | None]:
         """Use the calibration that was given, or else solve the keyframes."""
-        settings, instrument = self.settings, self.body.instrument
+        settings, method = self.settings, self.arm.method
         frames, series = self.frames, series_of(self.session)
         lag, given = None, self._given
         if settings.lag is not None:
             frames, series = _less_lag(frames, series, self.clock, settings.lag)
             lag = Lag(0.0, seconds=0.0)  # that is taken out already
-        config = replace(settings.config, threads=1)
-        pool = stack.enter_context(instrument_pool(instrument, settings.workers or usable_cores(), frames))
-        run = partial(self._in_groups, partial(run_with_body, pool, instrument_digest(instrument), config))
-        work = ArmSetup(series, instrument, settings.arm, config, run, self._stage, lag=lag)
+        config = replace(method.config, threads=1)
+        pool = stack.enter_context(pool_of(self.body, settings.workers or usable_cores(), frames))
+        run = partial(self._in_groups, partial(run_with_body, pool, self.body, config))
+        work = ArmSetup(series, self.body.instrument, method.arm, config, run, self._stage, lag=lag)
         if self._stop.is_set():
             raise _StoppedError
         by_masks = settings.evidence == "masks"
@@ -228,7 +217,7 @@ class TrackedArm:
         elif by_masks:
             return begin_keyframes(recorded, work)
         else:
-            return begin_images(recorded, given, settings.hints or Hints(), work)
+            return begin_images(recorded, given, method.hints or Hints(), work)
         return Begun.of(None)
 
     def _finish(self, begun: Begun[RecordedSolution | str | None], outcome: Outcome | None) -> TrackedArm:
@@ -257,7 +246,7 @@ class TrackedArm:
             if calibration is not None and self.rows:
                 write_json(self.out / SESSION, calibration.to_dict())
             times = np.array([self.clock.times[files.name] for files in self.frames]) - late
-            self.readings = self.clock.readings_at(times, self.settings.config.track.reading_gap)
+            self.readings = self.clock.readings_at(times, self.arm.method.config.track.reading_gap)
             if not self.interrupted:
                 write_table(self.out / TABLE, self.rows, self.body.instrument.joint_names)
                 if self.rows:
@@ -293,23 +282,23 @@ class TrackedArm:
 
     def _forwards(self, progress: Callable[..., None]) -> None:
         """Follow the frames from image to image, and write the row of each when it is there."""
-        settings, rig, total = self.settings, self.session.rig, len(self.frames)
+        settings, method, total = self.settings, self.arm.method, len(self.frames)
         tracker = Tracker(
-            rig,
+            self.session.rig,
             self.body,
-            settings.calibration,
-            settings.config,
-            arm=settings.arm,
+            method.session,
+            method.config,
+            arm=method.arm,
             lag=settings.lag,
             evidence=settings.evidence,
-            hints=settings.hints,
+            hints=method.hints,
         )
         progress(0, total)
         with ExitStack() as stack:
             schedule = None
             if settings.use_joints and self.clock.outer_read:  # which alone tell of a base
                 threads = settings.workers or usable_cores()
-                solver = stack.enter_context(SolverProcess(self.body.instrument, threads=threads))
+                solver = stack.enter_context(SolverProcess(self.body, threads=threads))
                 schedule = SolutionSchedule(tracker, solver)
             file = stack.enter_context(appended(self.out / TRACKS, b""))
             for files, result in self._steps(tracker, schedule):
@@ -372,12 +361,10 @@ class TrackedArm:
 
     def _manifest(self) -> Manifest:
         """Return what the results depend on."""
-        session, settings = self.session, self.settings
-        own = self.body.instrument, session.rig, settings.config, settings.arm, session.folder
-        names = ("lag", "every", "use_joints", "frames_a_second", "causal", "evidence", "hints")
-        followed = {name: encoded(getattr(settings, name)) for name in names}
+        names = ("lag", "every", "use_joints", "frames_a_second", "causal", "evidence")
+        followed = {name: encoded(getattr(self.settings, name)) for name in names}
         digests = {files.name: frame_stamps(files) for files in self.frames}
-        return manifest_of(BatchSetup(*own, calibration=settings.calibration), digests) | {"track": followed}
+        return manifest_of(self.arm, digests) | {"track": {**followed, "hints": encoded(self.arm.method.hints)}}
 
 
 def _less_lag(

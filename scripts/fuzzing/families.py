@@ -18,15 +18,17 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.cli import main as run_command_line
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.frames.images import read_image, read_mask
 from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.io.atomic import write_image, write_json
 from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.io.toml_file import read_config
 from dvrk_cmaes.io.video_writer import quiet_ffmpeg
 from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.runs.batch import Workers, run_batch
+from dvrk_cmaes.runs.frame import ArmInSession
+from dvrk_cmaes.silhouette.prepare import prepare
 
 FRAMES = 3
 QUICK = """seed = 1
@@ -172,7 +174,8 @@ def write_material(folder: Path) -> None:
     settings = read_config(folder / "quick.toml", EstimateConfig())
     with ThreadPoolExecutor(1) as executor:
         workers = Workers(executor=executor)
-        run_batch(session, folder / "results", load_instrument("lnd"), config=settings, workers=workers)
+        arm = ArmInSession(session, prepare("lnd"), FrameMethod("classic", settings))
+        run_batch(arm, folder / "results", workers=workers)
     _write_calibration(folder / "session.json", folder / "results")
     golden = json.loads(bundled_path("demo", "golden.json").read_text(encoding="utf-8"))
     golden["frames"] = dict(list(golden["frames"].items())[:FRAMES])

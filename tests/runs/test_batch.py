@@ -13,8 +13,10 @@ from pathlib import Path
 import pytest
 from helpers.batch_sessions import QUICK_CONFIG, comparable, make_session
 
-from dvrk_cmaes import Body, EstimateConfig, InputError, read_session
+from dvrk_cmaes import Body, EstimateConfig, InputError, prepare, read_session
+from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.runs.batch import BatchSummary, Workers, finish, run_batch
+from dvrk_cmaes.runs.frame import ArmInSession
 
 Batch = Callable[..., BatchSummary]
 
@@ -25,8 +27,9 @@ def batch(bundled_body: Body, tmp_path: Path) -> Iterator[Batch]:
     with ThreadPoolExecutor(1) as thread:
 
         def go(session: Path, out: Path | str = "out", **options: object) -> BatchSummary:
-            given = {"config": QUICK_CONFIG, "workers": Workers(executor=thread), **options}
-            return run_batch(read_session(session), tmp_path / out, bundled_body.instrument, **given)  # type: ignore[arg-type]
+            method = FrameMethod(options.pop("kinematics", "classic"), QUICK_CONFIG)  # type: ignore[arg-type]
+            arm = ArmInSession(read_session(session), bundled_body, method)
+            return run_batch(arm, tmp_path / out, workers=Workers(executor=thread), **options)  # type: ignore[arg-type]
 
         yield go
 
@@ -48,9 +51,9 @@ def refusal(batch: Batch, *arguments: object, **options: object) -> str:
 def test_resume_with_other_instrument_is_refused(batch: Batch, two: Path, tmp_path: Path, bundled_body: Body) -> None:
     batch(two)
     limits = bundled_body.instrument.limits + 0.1
-    other = replace(bundled_body.instrument, limits=limits)
+    other = prepare(replace(bundled_body.instrument, limits=limits))
     with pytest.raises(InputError, match=r"its results were made otherwise \(instrument.digest: \w{16} -> \w{16}\)"):
-        run_batch(read_session(two), tmp_path / "out", other, config=QUICK_CONFIG)
+        run_batch(ArmInSession(read_session(two), other, FrameMethod("classic", QUICK_CONFIG)), tmp_path / "out")
 
 
 @pytest.mark.usefixtures("estimates_shared")
@@ -90,14 +93,14 @@ def test_failed_frames_are_repeated(batch: Batch, two: Path, tmp_path: Path) -> 
 
 @pytest.mark.usefixtures("estimates_shared")
 def test_settings_may_change_while_all_frames_have_failed(batch: Batch, two: Path, tmp_path: Path) -> None:
-    batch(two, "sound", arm="si")
+    batch(two, "sound", kinematics="si")
     masks = {path: path.read_bytes() for path in (two / "masks").iterdir()}
     for path in masks:
         path.write_bytes(b"nonsense")
     assert batch(two).counts["failed"] == 2
     for path, data in masks.items():
         path.write_bytes(data)
-    done = batch(two, arm="si")
+    done = batch(two, kinematics="si")
     assert (done.ran, done.counts["failed"]) == (2, 0)
     assert comparable(tmp_path / "out") == comparable(tmp_path / "sound")
     assert "arm: si -> classic" in refusal(batch, two)

@@ -19,8 +19,10 @@ from helpers.waiting import wait_for
 from helpers.worker_tasks import squared_unless_three
 
 from dvrk_cmaes import Body, DvrkCmaesError, InputError, read_session
+from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.runs.batch import Workers, run_batch
 from dvrk_cmaes.runs.cluster import dask_executor
+from dvrk_cmaes.runs.frame import ArmInSession
 from dvrk_cmaes.runs.pool import WorkerDied, run
 from dvrk_cmaes.runs.pool import Workers as Executors
 
@@ -89,13 +91,11 @@ class KillHalfWay:
 def test_killed_worker_does_not_change_results(
     cluster: Cluster, session: Path, bundled_body: Body, tmp_path: Path
 ) -> None:
-    read, instrument = read_session(session), bundled_body.instrument
+    arm = ArmInSession(read_session(session), bundled_body, FrameMethod("classic", QUICK_CONFIG))
     with dask_executor(cluster.address, session) as external:
         done = run_batch(
-            read,
+            arm,
             tmp_path / "cluster",
-            instrument,
-            config=QUICK_CONFIG,
             workers=Workers(executor=external, progress=KillHalfWay(cluster.workers[1])),
         )
     assert cluster.workers[1].wait() == -signal.SIGKILL
@@ -103,7 +103,7 @@ def test_killed_worker_does_not_change_results(
     failed = [frame["reasons"] for frame in done.document["frames"].values() if frame["status"] == "failed"]
     assert (done.ran, done.counts["missing"], failed) == (len(NAMES), 0, [])
     with ThreadPoolExecutor(1) as here:
-        run_batch(read, tmp_path / "here", instrument, config=QUICK_CONFIG, workers=Workers(executor=here))
+        run_batch(arm, tmp_path / "here", workers=Workers(executor=here))
     assert comparable(tmp_path / "cluster") == comparable(tmp_path / "here")
 
 

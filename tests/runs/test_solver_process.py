@@ -25,7 +25,7 @@ def started_since(before: set[int]) -> list[psutil.Process]:
 @pytest.mark.parametrize("background", [False, True])
 def test_process_in_the_background_starts_before_the_first_problem(*, background: bool) -> None:
     before = {child.pid for child in psutil.Process().children(recursive=True)}
-    with SolverProcess(prepare("lnd").instrument, background=background):
+    with SolverProcess(prepare("lnd"), background=background):
         if background:
             wait_for(lambda: started_since(before))
         else:
@@ -36,7 +36,7 @@ def test_process_in_the_background_starts_before_the_first_problem(*, background
 
 def test_process_that_is_not_needed_ends_at_once() -> None:
     before = {child.pid for child in psutil.Process().children(recursive=True)}
-    with SolverProcess(prepare("lnd").instrument, background=True):
+    with SolverProcess(prepare("lnd"), background=True):
         pass
     assert not started_since(before)
 
@@ -50,7 +50,7 @@ class FakeProcess:
         self.busy = False
         self.waiting: list[Future[Any]] = []
 
-    def submit(self, function: Callable[..., Any], key: str, given: Any, threads: int) -> Future[Any]:
+    def submit(self, function: Callable[..., Any], body: bytes, given: Any, threads: int) -> Future[Any]:
         future, answer = Future[Any](), self._answer(function, given)
         if self.busy:
             self.waiting.append(future)
@@ -81,7 +81,7 @@ def problem(*numbers: int) -> KeyframeProblem:
 @pytest.fixture
 def solver() -> Iterator[tuple[SolverProcess, FakeProcess]]:
     process = FakeProcess()
-    with SolverProcess(prepare("lnd").instrument) as made:
+    with SolverProcess(prepare("lnd")) as made:
         made._process = cast(Any, process)
         yield made, process
 
