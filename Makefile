@@ -19,6 +19,7 @@ test: $(VENV)/.tools
 lint: $(VENV)/.tools
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/clang-format --dry-run --Werror dvrk_cmaes/kernel/*.?pp
 	$(BIN)/mypy
 
 site: $(VENV)/.package

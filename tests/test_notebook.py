@@ -1,17 +1,18 @@
-"""The notebook: its cells run from top to bottom, and end with a followed instrument."""
+"""The notebook: its cells run from top to bottom, print what is stored, and end with a recording that is ok."""
 
 from __future__ import annotations
 
 import json
+from contextlib import redirect_stdout
+from io import StringIO
 from typing import Any
 
 import pytest
 from helpers.places import ROOT, SCRIPTS
+from helpers.printed_blocks import words
 
 
-def test_notebook_runs_from_a_folder_to_plots(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_notebook_runs_from_a_folder_to_plots_as_its_outputs_show(monkeypatch: pytest.MonkeyPatch) -> None:
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -20,11 +21,16 @@ def test_notebook_runs_from_a_folder_to_plots(
     monkeypatch.chdir(ROOT)
     notebook = json.loads((SCRIPTS / "examples" / "folder_to_plots.ipynb").read_text(encoding="utf-8"))
     names: dict[str, Any] = {}
+    figures = 0
     for cell in notebook["cells"]:
         if cell["cell_type"] == "code":
-            assert cell["outputs"] == []
-            exec(compile("".join(cell["source"]), cell["id"], "exec"), names)
-    assert len(plt.get_fignums()) == 4
-    plt.close("all")
-    assert names["followed"].status in ("ok", "doubtful")
-    assert capsys.readouterr().out.startswith("5 frames, ")
+            stored, printed = cell["outputs"], StringIO()
+            with redirect_stdout(printed):
+                exec(compile("".join(cell["source"]), cell["id"], "exec"), names)
+            shown = "".join(text for one in stored if one["output_type"] == "stream" for text in one["text"])
+            assert words(printed.getvalue()) == words(shown)
+            assert len(plt.get_fignums()) == sum("image/jpeg" in one.get("data", {}) for one in stored)
+            figures += len(plt.get_fignums())
+            plt.close("all")
+    assert figures == 5
+    assert names["followed"].status == "ok"

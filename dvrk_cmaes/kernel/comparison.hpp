@@ -63,8 +63,10 @@ inline double cauchy_loss(const Blurred& image, const Target& target, double cau
     const auto add_constant = [&](int begin, int end) {
       if (begin >= end || drawn[begin] == mask[begin]) return;
       const double difference = double(drawn[begin]) - mask[begin];
-      if (target.weighted) add(begin, end);
-      else sum += (end - begin) * logarithm(1.0 + scale * (difference * difference));
+      if (target.weighted)
+        add(begin, end);
+      else
+        sum += (end - begin) * logarithm(1.0 + scale * (difference * difference));
     };
     int done = 0;
     image.band.each_of_both(row, target.mask.band, [&](int begin, int end) {
@@ -83,7 +85,8 @@ struct Between {
 
   Between(int width, int height, double u, double v) {
     u = within(u, 0.0, width - 1.0), v = within(v, 0.0, height - 1.0);
-    column = std::min(static_cast<int>(u), std::max(width - 2, 0)), row = std::min(static_cast<int>(v), std::max(height - 2, 0));
+    column = std::min(static_cast<int>(u), std::max(width - 2, 0)),
+    row = std::min(static_cast<int>(v), std::max(height - 2, 0));
     right = column + 1 < std::size_t(width), below = row + 1 < std::size_t(height);
     x = u - column, y = v - row;
   }

@@ -51,9 +51,9 @@ struct ContourPoint {
   std::vector<double> values;
 };
 
-// Adds to the lower half of `sum` (K, K) the products of the points' K values, weighed by the inverse of their covariance, of
-// which `variance` is that of the correlated errors. The points are sorted along the contour's longest extent, so that the
-// covariance is banded, and it is eliminated row by row.
+// Adds to the lower half of `sum` (K, K) the products of the points' K values, weighed by the inverse of their covariance,
+// of which `variance` is that of the correlated errors. The points are sorted along the contour's longest extent, so that
+// the covariance is banded, and it is eliminated row by row.
 inline void add_weighed(std::vector<ContourPoint>& points, double variance, const ContourErrors& how,
                         std::vector<double>& sum) {
   double u = 0.0, v = 0.0, uu = 0.0, uv = 0.0, vv = 0.0;

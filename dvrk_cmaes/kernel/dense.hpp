@@ -71,8 +71,8 @@ inline void eliminate_chain(const double* diagonal, const double* beside, double
 
 // Eliminate the last M of D + M unknowns of a quadratic term, of which `known` (M, M) is known beforehand, about zero.
 // Writes information (D, D) and slope (D,) of the others.
-inline void eliminate_last(const double* information, const double* slope, const double* known, std::size_t D,
-                           std::size_t M, double* left, double* left_slope) {
+inline void eliminate_last(const double* information, const double* slope, const double* known, std::size_t D, std::size_t M,
+                           double* left, double* left_slope) {
   const std::size_t all = D + M;
   std::vector<double> block(M * M), right(M * (D + 1));
   for (std::size_t i = 0; i < M; ++i) {

@@ -105,9 +105,7 @@ class Lines {
 
  private:
   // The first line at or below a place, from 0 to the number of lines.
-  int first_line(double across) const {
-    return static_cast<int>(within(std::ceil(across), 0.0, double(grid.count())));
-  }
+  int first_line(double across) const { return static_cast<int>(within(std::ceil(across), 0.0, double(grid.count()))); }
 
   // A piece and the lines that it crosses, from first to before last; it crosses the line `at` at `along`, px.
   struct Crossed {
@@ -136,8 +134,8 @@ class Lines {
       const bool near_end = std::abs(first - to) < std::abs(first - from);
       // columns are rows of the mirrored image, in which the left and the right side of an edge change places
       const auto change = static_cast<std::int8_t>((from < to) != grid.vertical ? piece.change : -piece.change);
-      crossed_.emplace_back(near_end ? to : from, near_end ? grid.along(piece.to) : grid.along(piece.from), slope,
-                            first, last, static_cast<Index>(i), change);
+      crossed_.emplace_back(near_end ? to : from, near_end ? grid.along(piece.to) : grid.along(piece.from), slope, first,
+                            last, static_cast<Index>(i), change);
       ++starts_[first + 1];
       total_ += last - first;
     }

@@ -43,7 +43,7 @@ class Mesh {
   std::vector<Vector3> vertices;  // m, in the frames of their links
   std::vector<Triangle> faces;    // indices of vertices of all links
   std::vector<Edge> edges;
-  std::vector<Link> links;  // and one more, which begins where the last one ends
+  std::vector<Link> links;           // and one more, which begins where the last one ends
   std::vector<Index> first, second;  // faces of the edges, by themselves
   // Planes of faces: a face is front-facing from a camera at c if normal @ c + offset > 0.
   std::vector<float> normal_x, normal_y, normal_z, offset;
@@ -67,15 +67,18 @@ class Mesh {
     links.back().low = low, links.back().high = high;
     const std::size_t first_edge = edges.size();
     pair_edges(base, first_face);
-    const auto flips = std::stable_partition(edges.begin() + first_edge, edges.end(), [](const Edge& edge) {
-      return !edge.flip;
-    });
+    const auto flips =
+        std::stable_partition(edges.begin() + first_edge, edges.end(), [](const Edge& edge) { return !edge.flip; });
     links.back().flip_begin = static_cast<Index>(flips - edges.begin());
     for (std::size_t i = first_edge; i < edges.size(); ++i) {
       first.push_back(edges[i].first), second.push_back(edges[i].second);
     }
-    links.push_back({static_cast<Index>(vertices.size()), static_cast<Index>(faces.size()),
-                     static_cast<Index>(edges.size()), 0, {}, {}});
+    links.push_back({static_cast<Index>(vertices.size()),
+                     static_cast<Index>(faces.size()),
+                     static_cast<Index>(edges.size()),
+                     0,
+                     {},
+                     {}});
   }
 
  private:

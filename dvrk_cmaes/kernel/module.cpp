@@ -185,8 +185,7 @@ Mesh make_mesh(const std::vector<std::tuple<Given<double>, Given<Index>>>& links
 }
 
 Chain make_chain(const std::vector<int>& parents, const std::vector<int>& drivers, const std::vector<bool>& sliding,
-                 const std::vector<double>& multipliers, const std::vector<double>& offsets,
-                 const Given<double>& terms) {
+                 const std::vector<double>& multipliers, const std::vector<double>& offsets, const Given<double>& terms) {
   const std::size_t count = parents.size();
   check_shape("terms", terms, {static_cast<long>(count), 3, 4, 4});
   check_finite("terms", terms.data(), terms.size());
@@ -254,9 +253,9 @@ struct Drawing {
   int lines_per_pixel;
   std::size_t threads;
   const Trace& trace;
-  double bend;            // px, by which a piece of the outline may be off the image of a straight line
-  bool columns = false;   // whether the columns are crossed as well as the rows, as `find_points` needs it
-  bool to_pixel = false;  // whether only the pixels' centres matter
+  double bend;               // px, by which a piece of the outline may be off the image of a straight line
+  bool columns = false;      // whether the columns are crossed as well as the rows, as `find_points` needs it
+  bool to_pixel = false;     // whether only the pixels' centres matter
   double shortest = kClose;  // px, of the spans through which rays are traced
 
   std::size_t poses() const { return links.shape(0); }
@@ -337,13 +336,14 @@ struct Drawing {
 };
 
 // Half of the spans are shorter, between edges inside the outline; all of a row's together hardly change a sum.
-constexpr double kNegligible = 1.0 / 16;  // px
+constexpr double kNegligible = 1.0 / 16;              // px
 constexpr double kBend = 0.004, kExactBend = 0.0005;  // px; the latter where whole pixels are asked for
 
 Made<double> sums(const Mesh& mesh, const Camera& camera, const Given<double>& links, const Given<double>& table,
                   int lines_per_pixel, bool to_pixel, std::size_t threads, const Trace& trace) {
   check_shape("table", table, {camera.height, camera.width + 1, kAny});
-  const Drawing drawing{mesh, camera, links, lines_per_pixel, threads, trace, to_pixel ? kExactBend : kBend, false, to_pixel, kNegligible};
+  const Drawing drawing{mesh,  camera,   links,      lines_per_pixel, threads, trace, to_pixel ? kExactBend : kBend,
+                        false, to_pixel, kNegligible};
   drawing.check();
   const std::size_t images = table.shape(2);
   Made<double> out = zeros<double>({drawing.poses(), images});
@@ -415,9 +415,9 @@ std::size_t checked_poses(const Given<std::int64_t>& begin, std::size_t count) {
 }
 
 std::tuple<Made<double>, Made<double>, Made<double>> move_points(
-    const Camera& camera, const Given<std::int64_t>& begin, const Given<std::int64_t>& link,
-    const Given<double>& points, const Given<double>& directions, const Given<double>& camera_from_root,
-    const Given<double>& root_from_link, const Given<double>& by_joint) {
+    const Camera& camera, const Given<std::int64_t>& begin, const Given<std::int64_t>& link, const Given<double>& points,
+    const Given<double>& directions, const Given<double>& camera_from_root, const Given<double>& root_from_link,
+    const Given<double>& by_joint) {
   check_shape("link", link, {kAny});
   const std::size_t count = link.size(), poses = checked_poses(begin, count);
   const long n = static_cast<long>(count), c = static_cast<long>(poses);
@@ -631,8 +631,8 @@ void check_compared(const Compared& compared, const std::vector<double>& factors
   }
 }
 
-Quadratics normal_equations(const Compared& compared, const std::vector<double>& factors,
-                            const std::vector<double>& density, double cauchy, const Given<double>& change) {
+Quadratics normal_equations(const Compared& compared, const std::vector<double>& factors, const std::vector<double>& density,
+                            double cauchy, const Given<double>& change) {
   check_shape("change", change, {kAny, kAny});
   const std::size_t count = change.shape(0), D = change.shape(1), views = factors.size();
   check_compared(compared, factors, density, count, D);
@@ -691,11 +691,11 @@ std::tuple<Made<double>, Made<double>> shared_errors(const Given<std::int64_t>& 
   return {columns, copied(errors.deviations)};
 }
 
-Quadratics shared_equations(const Compared& compared, const std::vector<double>& factors,
-                            const std::vector<double>& density, double cauchy, int stride,
-                            const std::vector<Vector2>& axes, const std::vector<std::array<double, 4>>& deviations,
-                            const Sharing& sharing, const std::vector<Given<double>>& more,
-                            const std::vector<Given<double>>& offsets, const Shown& shown, int views) {
+Quadratics shared_equations(const Compared& compared, const std::vector<double>& factors, const std::vector<double>& density,
+                            double cauchy, int stride, const std::vector<Vector2>& axes,
+                            const std::vector<std::array<double, 4>>& deviations, const Sharing& sharing,
+                            const std::vector<Given<double>>& more, const std::vector<Given<double>>& offsets,
+                            const Shown& shown, int views) {
   check_positive("stride", stride), check_positive("views", views);
   const std::size_t count = compared.size() / views, all = compared.size();
   const int D = compared.empty() || !compared[0] ? 0 : compared[0]->unknowns;
@@ -726,11 +726,10 @@ Quadratics shared_equations(const Compared& compared, const std::vector<double>&
   return {information, slope};
 }
 
-Made<double> minimise_all(const Compared& compared, const std::vector<double>& factors,
-                          const std::vector<double>& density, double cauchy, const Given<double>& weight,
-                          const Given<double>& information, const Given<double>& slope,
-                          const std::optional<Given<double>>& damping, int iterations, double solved,
-                          const std::array<double, 2>& least, double farthest) {
+Made<double> minimise_all(const Compared& compared, const std::vector<double>& factors, const std::vector<double>& density,
+                          double cauchy, const Given<double>& weight, const Given<double>& information,
+                          const Given<double>& slope, const std::optional<Given<double>>& damping, int iterations,
+                          double solved, const std::array<double, 2>& least, double farthest) {
   check_shape("slope", slope, {kAny, kAny});
   const long count = static_cast<long>(slope.shape(0)), unknowns = static_cast<long>(slope.shape(1));
   check_shape("weight", weight, {count}), check_shape("information", information, {count, unknowns, unknowns});
@@ -745,18 +744,18 @@ Made<double> minimise_all(const Compared& compared, const std::vector<double>& f
       for (std::size_t view = 0; view < views; ++view) use(*compared[views * pose + view], view);
     };
     std::vector<double> change(D, 0.0);
-    minimise(how, information.data() + D * D * pose, slope.data() + D * pose, damping ? damping->data()[pose] : -1.0,
-             [&](const double* at, double* square, double* line) {
-               each_view([&](const Comparison& one, std::size_t view) {
-                 const double factor = weight.data()[pose] * factors[view];
-                 add_normal_equations(one, density, cauchy, factor, at, square, line);
-               });
-             },
-             change);
+    minimise(
+        how, information.data() + D * D * pose, slope.data() + D * pose, damping ? damping->data()[pose] : -1.0,
+        [&](const double* at, double* square, double* line) {
+          each_view([&](const Comparison& one, std::size_t view) {
+            const double factor = weight.data()[pose] * factors[view];
+            add_normal_equations(one, density, cauchy, factor, at, square, line);
+          });
+        },
+        change);
     double largest = 0.0;
-    each_view([&](const Comparison& one, std::size_t) {
-      largest = std::max(largest, largest_displacement(one, change.data()));
-    });
+    each_view(
+        [&](const Comparison& one, std::size_t) { largest = std::max(largest, largest_displacement(one, change.data())); });
     const double share = std::min(1.0, farthest / std::max(largest, 1e-12));
     for (std::size_t d = 0; d < D; ++d) out.data()[D * pose + d] = share * change[d];
   }
@@ -765,8 +764,8 @@ Made<double> minimise_all(const Compared& compared, const std::vector<double>& f
 
 std::vector<std::tuple<Made<double>, Made<std::int64_t>, double>> fit_lines(
     const Given<double>& points, const Given<double>& normals, const Given<double>& lines, double sigma, double near,
-    double facing, double gap, double least_sigma, double reach, double least_reach, double normal_median,
-    int iterations, int least) {
+    double facing, double gap, double least_sigma, double reach, double least_reach, double normal_median, int iterations,
+    int least) {
   check_shape("points", points, {kAny, 2}), check_shape("normals", normals, {static_cast<long>(points.shape(0)), 2});
   check_shape("lines", lines, {kAny, 3});
   for (const Given<double>* one : {&points, &normals, &lines}) check_finite("contour and lines", one->data(), one->size());
@@ -793,7 +792,8 @@ std::vector<std::tuple<Made<std::int64_t>, Made<double>>> straight_stretches(con
     const double *from = corners.data() + 2 * k, *to = corners.data() + 2 * ((k + 1) % count);
     const double u = to[0] - from[0], v = to[1] - from[1], length = std::sqrt(u * u + v * v);
     if (!(length > 0.0) || length < side) continue;
-    add_stretches(outline.data(), outline.shape(0), {from[0], from[1]}, {u / length, v / length}, band, gap, shortest, found);
+    add_stretches(outline.data(), outline.shape(0), {from[0], from[1]}, {u / length, v / length}, band, gap, shortest,
+                  found);
   }
   std::vector<std::tuple<Made<std::int64_t>, Made<double>>> out;
   for (const Stretch& one : found) out.emplace_back(copied(one.points), copied(one.along));
@@ -960,44 +960,45 @@ NB_MODULE(_kernel, module) {
   module.doc() = "Silhouettes of an instrument for many poses: sums, masks, coverage, outlines, and their derivatives.";
 
   nb::class_<Camera>(module, "Camera", "A camera and the distortion of its lens.")
-      .def("__init__",
-           [](Camera* self, int width, int height, double fx, double fy, double cx, double cy, const std::string& model,
-              const std::vector<double>& coefficients, double radius) {
-             new (self) Camera(make_camera(width, height, fx, fy, cx, cy, model, coefficients, radius));
-           },
-           "width"_a, "height"_a, "fx"_a, "fy"_a, "cx"_a, "cy"_a, "model"_a, "coefficients"_a, "radius"_a,
-           "Take the intrinsics, px; no coefficients of other models than equidistant are a pinhole. The model holds up "
-           "to an undistorted radius.");
+      .def(
+          "__init__",
+          [](Camera* self, int width, int height, double fx, double fy, double cx, double cy, const std::string& model,
+             const std::vector<double>& coefficients,
+             double radius) { new (self) Camera(make_camera(width, height, fx, fy, cx, cy, model, coefficients, radius)); },
+          "width"_a, "height"_a, "fx"_a, "fy"_a, "cx"_a, "cy"_a, "model"_a, "coefficients"_a, "radius"_a,
+          "Take the intrinsics, px; no coefficients of other models than equidistant are a pinhole. The model holds up "
+          "to an undistorted radius.");
 
   nb::class_<Chain>(module, "Chain", "A tree of K joints below a root link, every parent before its children.")
-      .def("__init__",
-           [](Chain* self, const std::vector<int>& parents, const std::vector<int>& drivers,
-              const std::vector<bool>& sliding, const std::vector<double>& multipliers,
-              const std::vector<double>& offsets, const Given<double>& terms) {
-             new (self) Chain(make_chain(parents, drivers, sliding, multipliers, offsets, terms));
-           },
-           "parents"_a, "drivers"_a, "sliding"_a, "multipliers"_a, "offsets"_a, "terms"_a,
-           "Take the joints; their transforms are the sums of their terms (K, 3, 4, 4) with weights 1, sin q (or q of "
-           "sliding ones) and cos q (or 1).")
+      .def(
+          "__init__",
+          [](Chain* self, const std::vector<int>& parents, const std::vector<int>& drivers, const std::vector<bool>& sliding,
+             const std::vector<double>& multipliers, const std::vector<double>& offsets, const Given<double>& terms) {
+            new (self) Chain(make_chain(parents, drivers, sliding, multipliers, offsets, terms));
+          },
+          "parents"_a, "drivers"_a, "sliding"_a, "multipliers"_a, "offsets"_a, "terms"_a,
+          "Take the joints; their transforms are the sums of their terms (K, 3, 4, 4) with weights 1, sin q (or q of "
+          "sliding ones) and cos q (or 1).")
       .def("forward", &forward, "values"_a, "selected"_a, "derivatives"_a,
            "Compute root_from_link (N, L, 4, 4) of selected joints' links, the root's for -1, from values (N, J), and "
            "the derivatives (N, J, L, 4, 4) or None.");
 
   nb::class_<Mesh>(module, "Mesh", "The meshes of the links of an instrument, with their edges.")
-      .def("__init__",
-           [](Mesh* self, const std::vector<std::tuple<Given<double>, Given<Index>>>& links) {
-             new (self) Mesh(make_mesh(links));
-           },
-           "links"_a, "Take vertices (V, 3), m, and faces (F, 3) of each link.")
-      .def_prop_ro("edges", [](const Mesh& mesh) { return mesh.edges.size(); }, "Number of edges.")
+      .def(
+          "__init__",
+          [](Mesh* self, const std::vector<std::tuple<Given<double>, Given<Index>>>& links) {
+            new (self) Mesh(make_mesh(links));
+          },
+          "links"_a, "Take vertices (V, 3), m, and faces (F, 3) of each link.")
+      .def_prop_ro(
+          "edges", [](const Mesh& mesh) { return mesh.edges.size(); }, "Number of edges.")
       .def("sums", &sums, "camera"_a, "camera_from_link"_a, "table"_a, "lines_per_pixel"_a, "to_pixel"_a, "threads"_a,
            "trace"_a.none(), "Sum K images, by their prefix sums (H, W + 1, K), over C silhouettes: (C, K).")
       .def("masks", &masks, "camera"_a, "camera_from_link"_a, "threads"_a, "trace"_a.none(),
            "Find the pixels whose centres are covered in C poses: (C, H, W).")
-      .def("coverage", &coverage, "camera"_a, "camera_from_link"_a, "lines_per_pixel"_a, "threads"_a,
-           "trace"_a.none(), "Compute the covered fraction of each pixel in C poses: (C, H, W).")
-      .def("outlines", &outlines, "camera"_a, "camera_from_link"_a, "lines_per_pixel"_a, "threads"_a,
-           "trace"_a.none(),
+      .def("coverage", &coverage, "camera"_a, "camera_from_link"_a, "lines_per_pixel"_a, "threads"_a, "trace"_a.none(),
+           "Compute the covered fraction of each pixel in C poses: (C, H, W).")
+      .def("outlines", &outlines, "camera"_a, "camera_from_link"_a, "lines_per_pixel"_a, "threads"_a, "trace"_a.none(),
            "Find N points on the outlines of C poses: offsets (C + 1,) of the poses' points, links (N,), pixels (N, 2), "
            "normals (N, 2), points (N, 3) in the links' frames.")
       .def("compare", &compare, "camera"_a, "target"_a, "camera_from_root"_a, "root_from_link"_a, "by_joint"_a.none(),
@@ -1012,23 +1013,28 @@ NB_MODULE(_kernel, module) {
            "Compare the outlines of C poses with the contour of a mask: information (C, D, D) and slope (C, D) of half the "
            "sums of squares (C,). All are zero where too few points have a contour within reach.");
 
-  module.def("move_points", &move_points, "camera"_a, "begin"_a, "link"_a, "points"_a, "directions"_a,
-             "camera_from_root"_a, "root_from_link"_a, "by_joint"_a,
+  module.def("move_points", &move_points, "camera"_a, "begin"_a, "link"_a, "points"_a, "directions"_a, "camera_from_root"_a,
+             "root_from_link"_a, "by_joint"_a,
              "Project N points of C poses: depths (N,), pixels (N, 2), Jacobians (N, 6 + J) along directions (N, 2).");
   nb::class_<Target>(module, "Target", "A mask, blurred, with which silhouettes are compared.")
-      .def("__init__",
-           [](Target* self, const Given<float>& mask, const Given<float>& weight, const std::vector<float>& taps,
-              int reach) { new (self) Target(make_target(mask, weight, taps, reach)); },
-           "mask"_a, "weight"_a, "taps"_a, "reach"_a,
-           "Take mask and weights (H, W), the blur's filter from its middle outwards, and px along normals to sample.")
-      .def_prop_ro("image", [](const Target& target) {
-        const std::size_t width = target.mask.width(), height = target.mask.height();
-        Made<float> out = zeros<float>({height, width});
-        for (std::size_t row = 0; row < height; ++row) {
-          std::copy_n(target.mask.row(int(row)), width, out.data() + width * row);
-        }
-        return out;
-      }, nb::rv_policy::move, "The blurred mask (H, W).");
+      .def(
+          "__init__",
+          [](Target* self, const Given<float>& mask, const Given<float>& weight, const std::vector<float>& taps, int reach) {
+            new (self) Target(make_target(mask, weight, taps, reach));
+          },
+          "mask"_a, "weight"_a, "taps"_a, "reach"_a,
+          "Take mask and weights (H, W), the blur's filter from its middle outwards, and px along normals to sample.")
+      .def_prop_ro(
+          "image",
+          [](const Target& target) {
+            const std::size_t width = target.mask.width(), height = target.mask.height();
+            Made<float> out = zeros<float>({height, width});
+            for (std::size_t row = 0; row < height; ++row) {
+              std::copy_n(target.mask.row(int(row)), width, out.data() + width * row);
+            }
+            return out;
+          },
+          nb::rv_policy::move, "The blurred mask (H, W).");
 
   nb::class_<ContourErrors>(module, "ContourErrors", "How the errors of a mask's contour are weighed.")
       .def("__init__", &make_contour_errors, "reach"_a, "least"_a, "normal_median"_a, "least_sigma"_a, "clip"_a,
@@ -1037,17 +1043,18 @@ NB_MODULE(_kernel, module) {
            "deviation, its least, px, where it is cut, the correlated share of the variance, its length, px, how far "
            "errors are correlated, px, the variance of pixels, px^2, and a factor on variances.");
   nb::class_<Sharing>(module, "Sharing", "How errors are shared by the points of a contour.")
-      .def("__init__",
-           [](Sharing* self, const std::optional<Given<double>>& shaft, double nodes, int least) {
-             new (self) Sharing(make_sharing(shaft, nodes, least));
-           },
-           "shaft"_a.none(), "nodes"_a, "least"_a,
-           "Take a point, m, and the direction of the shaft's axis (2, 3), m between nodes along it, and the number of "
-           "points that an error displaces at least.");
+      .def(
+          "__init__",
+          [](Sharing* self, const std::optional<Given<double>>& shaft, double nodes, int least) {
+            new (self) Sharing(make_sharing(shaft, nodes, least));
+          },
+          "shaft"_a.none(), "nodes"_a, "least"_a,
+          "Take a point, m, and the direction of the shaft's axis (2, 3), m between nodes along it, and the number of "
+          "points that an error displaces at least.");
   nb::class_<Shown>(module, "Shown", "How much larger errors are that a mask shows.")
-      .def("__init__",
-           [](Shown* self, double usual, double factor, double most) { new (self) Shown{usual, factor, most}; }, "usual"_a,
-           "factor"_a, "most"_a, "Take px beyond which they are, standard deviations a pixel, and the most px.");
+      .def(
+          "__init__", [](Shown* self, double usual, double factor, double most) { new (self) Shown{usual, factor, most}; },
+          "usual"_a, "factor"_a, "most"_a, "Take px beyond which they are, standard deviations a pixel, and the most px.");
 
   nb::class_<Comparison>(module, "Comparison", "A silhouette compared with a mask.")
       .def_ro("losses", &Comparison::losses, "The Cauchy loss of each width that was asked for.")
@@ -1055,34 +1062,51 @@ NB_MODULE(_kernel, module) {
       .def_ro("differenced", &Comparison::differenced, "Whether their derivatives are by differences.")
       .def_ro("unknowns", &Comparison::unknowns, "Number D of the unknowns by which the points move.")
       .def("coverage", &coverage_of, "width"_a, "Return the covered fraction of each pixel before the blur, (H, W).")
-      .def_prop_ro("link", [](const Comparison& at) {
-        return of_points<std::int64_t>(at, 0, [&](std::size_t i) { return &at.points[i].link; });
-      }, nb::rv_policy::move, "Number of the link of each point, (N,).")
-      .def_prop_ro("pixels", [](const Comparison& at) {
-        return of_points<double>(at, 2, [&](std::size_t i) { return at.points[i].pixel.data(); });
-      }, nb::rv_policy::move, "The points (N, 2), px.")
-      .def_prop_ro("normals", [](const Comparison& at) {
-        return of_points<double>(at, 2, [&](std::size_t i) { return at.points[i].normal.data(); });
-      }, nb::rv_policy::move, "Normals (N, 2), as long as the piece of outline that a point stands for, px.")
-      .def_prop_ro("points", [](const Comparison& at) {
-        return of_points<double>(at, 3, [&](std::size_t i) { return at.points[i].point.data(); });
-      }, nb::rv_policy::move, "The points (N, 3) in the links' frames, m.")
-      .def_prop_ro("jacobian", [](const Comparison& at) {
-        return of_points<double>(at, at.unknowns, [&](std::size_t i) { return at.jacobian.data() + at.unknowns * i; });
-      }, nb::rv_policy::move, "Derivatives (N, D) of the displacements along the unit normals, px.");
+      .def_prop_ro(
+          "link",
+          [](const Comparison& at) {
+            return of_points<std::int64_t>(at, 0, [&](std::size_t i) { return &at.points[i].link; });
+          },
+          nb::rv_policy::move, "Number of the link of each point, (N,).")
+      .def_prop_ro(
+          "pixels",
+          [](const Comparison& at) {
+            return of_points<double>(at, 2, [&](std::size_t i) { return at.points[i].pixel.data(); });
+          },
+          nb::rv_policy::move, "The points (N, 2), px.")
+      .def_prop_ro(
+          "normals",
+          [](const Comparison& at) {
+            return of_points<double>(at, 2, [&](std::size_t i) { return at.points[i].normal.data(); });
+          },
+          nb::rv_policy::move, "Normals (N, 2), as long as the piece of outline that a point stands for, px.")
+      .def_prop_ro(
+          "points",
+          [](const Comparison& at) {
+            return of_points<double>(at, 3, [&](std::size_t i) { return at.points[i].point.data(); });
+          },
+          nb::rv_policy::move, "The points (N, 3) in the links' frames, m.")
+      .def_prop_ro(
+          "jacobian",
+          [](const Comparison& at) {
+            return of_points<double>(at, at.unknowns, [&](std::size_t i) { return at.jacobian.data() + at.unknowns * i; });
+          },
+          nb::rv_policy::move, "Derivatives (N, D) of the displacements along the unit normals, px.");
 
   module.def("normal_equations", &normal_equations, "compared"_a, "factors"_a, "density"_a, "cauchy"_a, "change"_a,
              "Compute information (C, D, D) and slope (C, D) of half the robust loss of C poses in V views, each with its "
              "factor, after small changes (C, D).");
-  module.def("shared_errors", &shared_errors, "link"_a, "normals"_a, "points"_a, "axis"_a, "deviations"_a, "sharing"_a,
-             "offsets"_a.none(), "shown"_a,
-             "Find the shared errors of an outline: shares (N, M) and standard deviations (M,), px, from those of sides of the "
-             "shaft, the margin, nodes and other links; larger where offsets (N,), px, are given that show it.");
-  module.def("shared_equations", &shared_equations, "compared"_a, "factors"_a, "density"_a, "cauchy"_a, "stride"_a, "axes"_a,
-             "deviations"_a, "sharing"_a, "more"_a, "offsets"_a, "shown"_a, "views"_a,
-             "Compute information (C, A, A) and slope (C, A) of half the robust loss of C poses in V views, by every stride-th "
-             "point, with the shared errors eliminated but for the two of each view that last: A = D + E + 2 V with "
-             "displacements (N, E) by more unknowns.");
+  module.def(
+      "shared_errors", &shared_errors, "link"_a, "normals"_a, "points"_a, "axis"_a, "deviations"_a, "sharing"_a,
+      "offsets"_a.none(), "shown"_a,
+      "Find the shared errors of an outline: shares (N, M) and standard deviations (M,), px, from those of sides of the "
+      "shaft, the margin, nodes and other links; larger where offsets (N,), px, are given that show it.");
+  module.def(
+      "shared_equations", &shared_equations, "compared"_a, "factors"_a, "density"_a, "cauchy"_a, "stride"_a, "axes"_a,
+      "deviations"_a, "sharing"_a, "more"_a, "offsets"_a, "shown"_a, "views"_a,
+      "Compute information (C, A, A) and slope (C, A) of half the robust loss of C poses in V views, by every stride-th "
+      "point, with the shared errors eliminated but for the two of each view that last: A = D + E + 2 V with "
+      "displacements (N, E) by more unknowns.");
   module.def("signed_distances", &signed_distances, "mask"_a, "pixels"_a, "farthest"_a,
              "Compute the signed distances (N,), px, of pixels (N, 2) to the outline of a mask (H, W), negative inside, at "
              "most so many.");
@@ -1102,9 +1126,10 @@ NB_MODULE(_kernel, module) {
              "least_sigma"_a, "reach"_a, "least_reach"_a, "normal_median"_a, "iterations"_a, "least"_a,
              "Fit lines (M, 3) to the contour points (N, 2) near them, robustly: each line (3,), the numbers of its points "
              "in their order along it, and their standard deviation, px.");
-  module.def("straight_stretches", &straight_stretches, "outline"_a, "corners"_a, "band"_a, "gap"_a, "shortest"_a, "side"_a,
-             "Find stretches of an outline (N, 2) beside sides, of a least length, of its hull with corners (K, 2): of each the "
-             "numbers of its points in their order, and their places along it, px.");
+  module.def(
+      "straight_stretches", &straight_stretches, "outline"_a, "corners"_a, "band"_a, "gap"_a, "shortest"_a, "side"_a,
+      "Find stretches of an outline (N, 2) beside sides, of a least length, of its hull with corners (K, 2): of each the "
+      "numbers of its points in their order, and their places along it, px.");
   module.def("sobel_at", &sobel_at, "image"_a, "pixels"_a,
              "Compute the derivatives (N, 2) of an image (H, W) along its rows and columns at some of its pixels (N, 2), by "
              "Sobel's filter.");

@@ -78,8 +78,7 @@ class Outline {
     const auto beyond = [](const Link& link, Index vertex) { return link.vertex_begin <= vertex; };
     Index link = 0;
     while (beyond(mesh_->links[link + 1], edge.start)) ++link;
-    return between(link, mesh_->vertices[edge.start], mesh_->vertices[edge.end], seen_[edge.start], seen_[edge.end],
-                   share);
+    return between(link, mesh_->vertices[edge.start], mesh_->vertices[edge.end], seen_[edge.start], seen_[edge.end], share);
   }
 
  private:
@@ -99,8 +98,7 @@ class Outline {
     const double inverse = seen_from.inverse + share * (seen_to.inverse - seen_from.inverse);
     const double along = share * seen_to.inverse / inverse;
     return {link,
-            {from[0] + along * (to[0] - from[0]), from[1] + along * (to[1] - from[1]),
-             from[2] + along * (to[2] - from[2])},
+            {from[0] + along * (to[0] - from[0]), from[1] + along * (to[1] - from[1]), from[2] + along * (to[2] - from[2])},
             {a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])}};
   }
 
@@ -272,7 +270,7 @@ class Outline {
   std::vector<Index> outline_;
   std::vector<Cut> cuts_;
   std::vector<std::size_t> begin_;  // number of the first piece of each link
-  std::vector<Vector2> shares_;  // of the undistorted chord at the ends of each piece, where the lens bends lines
+  std::vector<Vector2> shares_;     // of the undistorted chord at the ends of each piece, where the lens bends lines
 };
 
 }  // namespace kernel

@@ -30,10 +30,8 @@ inline void rotation_vector(const double* r, int stride, double* out) {
   const double x = at(0, 0), y = at(1, 1), z = at(2, 2);
   const double a = at(2, 1) - at(1, 2), b = at(0, 2) - at(2, 0), c = at(1, 0) - at(0, 1);
   const double d = at(0, 1) + at(1, 0), e = at(0, 2) + at(2, 0), f = at(1, 2) + at(2, 1);
-  const std::array<std::array<double, 4>, 4> rows = {{{1.0 + x + y + z, a, b, c},
-                                                      {a, 1.0 + x - y - z, d, e},
-                                                      {b, d, 1.0 - x + y - z, f},
-                                                      {c, e, f, 1.0 - x - y + z}}};
+  const std::array<std::array<double, 4>, 4> rows = {
+      {{1.0 + x + y + z, a, b, c}, {a, 1.0 + x - y - z, d, e}, {b, d, 1.0 - x + y - z, f}, {c, e, f, 1.0 - x - y + z}}};
   int largest = 0;
   for (int k = 1; k < 4; ++k) largest = rows[k][k] > rows[largest][largest] ? k : largest;
   const auto& q = rows[largest];

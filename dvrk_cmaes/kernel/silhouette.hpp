@@ -86,8 +86,7 @@ struct OutlinePoint {
 };
 
 // Add the points where the visible outline crosses lines at an angle of at least 45 degrees.
-inline void add_points(const Lines& lines, const Outline& outline, const Camera& camera,
-                       std::vector<OutlinePoint>& points) {
+inline void add_points(const Lines& lines, const Outline& outline, const Camera& camera, std::vector<OutlinePoint>& points) {
   const Grid& grid = lines.grid;
   const double limit = grid.extent - 0.5;
   const auto add = [&](int line, const Crossing& crossing, double inwards) {

@@ -20,7 +20,9 @@ struct ContourPoints {
   const double *points, *normals;
   std::size_t count;
 
-  double away(std::size_t i, const Line& line) const { return points[2 * i] * line[0] + points[2 * i + 1] * line[1] + line[2]; }
+  double away(std::size_t i, const Line& line) const {
+    return points[2 * i] * line[0] + points[2 * i + 1] * line[1] + line[2];
+  }
   double along(std::size_t i, const Line& line) const { return points[2 * i + 1] * line[0] - points[2 * i] * line[1]; }
   double facing(std::size_t i, const Line& line) const { return normals[2 * i] * line[0] + normals[2 * i + 1] * line[1]; }
 };
@@ -58,7 +60,8 @@ inline Support support_of(const ContourPoints& contour, const Line& line, double
   return found;
 }
 
-// The unit vector along the largest extent of points with second moments uu, uv, vv. Its angle is half that of (uu - vv, 2 uv).
+// The unit vector along the largest extent of points with second moments uu, uv, vv. Its angle is half that of (uu - vv, 2
+// uv).
 inline std::array<double, 2> principal_axis(double uu, double uv, double vv) {
   const double length = std::sqrt((uu - vv) * (uu - vv) + 4.0 * uv * uv);
   const double twice = length > 0.0 ? (uu - vv) / length : 1.0;
@@ -140,8 +143,8 @@ struct Stretch {
   std::vector<double> along;
 };
 
-// Find the stretches within `band` px of the line through a side of the outline's convex hull, from `corner` in a `direction`
-// of unit length; at least `shortest` px long and without a larger gap than `gap` px. `outline` is (N, 2).
+// Find the stretches within `band` px of the line through a side of the outline's convex hull, from `corner` in a
+// `direction` of unit length; at least `shortest` px long and without a larger gap than `gap` px. `outline` is (N, 2).
 inline void add_stretches(const double* outline, std::size_t count, const std::array<double, 2>& corner,
                           const std::array<double, 2>& direction, double band, double gap, double shortest,
                           std::vector<Stretch>& found) {
