@@ -24,3 +24,11 @@ def quick(tmp_path: Path) -> Path:
     """Settings of a short search."""
     (tmp_path / "quick.toml").write_text(QUICK)
     return tmp_path / "quick.toml"
+
+
+@pytest.fixture(autouse=True)
+def _without_processes(tasks_here: None) -> None:
+    """Let commands that run in the test's process start no others, each of which takes a second to start.
+
+    `test_outputs` and ``scripts/fuzz.py`` start the program itself, with its processes.
+    """

@@ -58,21 +58,30 @@ def by_hand(session: Path, frame: str) -> tuple[np.ndarray, Camera, dict[str, fl
 
 
 def test_batches_are_accurate_and_state_their_errors(kept: Kept) -> None:
-    """Tips within their stated 90 % distance in at least 80 % of some 24 frames, and no ok tips beyond 3 mm."""
-    within, wrong, counts = [], [], {}
+    """Of 24 frames, tips are within the distance of 90 % stated for an exact camera in nine tenths, none of them by far.
+
+    The distances are neither much too short nor much too long, and no ok tips are beyond 3 mm.
+    """
+    shares, wrong, counts = [], [], {}
     for name, options in WORLDS.items():
         session = synth(kept, *options)
         batch = kept("batch", session, "--out", OUT)
         found, true = results(batch.folder), truth(session)
         assert sorted(found) == sorted(true)
         errors = {frame: tip_errors(result, true[frame]) for frame, result in found.items()}
-        within += [errors[frame] <= result["std"]["tip_90_mm"] for frame, result in found.items()]
+        stated = {frame: result["std"]["tip_90_given_camera_mm"] for frame, result in found.items()}
+        assert all(
+            given < result["std"]["tip_90_mm"] for given, result in zip(stated.values(), found.values(), strict=True)
+        )
+        shares += [errors[frame].max() / given for frame, given in stated.items()]
         ok = [frame for frame, result in found.items() if result["status"] == "ok"]
         wrong += [frame for frame in ok if errors[frame].max() > 3.0]
         counts[name] = median(np.concatenate(list(errors.values()))), len(ok) / len(found)
         assert batch.code == (0 if len(ok) == len(found) else 3)
         assert all(bool(result["reasons"]) == (result["status"] != "ok") for result in found.values())
-    assert np.mean(within) >= 0.8
+    assert len(shares) == 24
+    assert np.mean(np.array(shares) <= 1) >= 0.9
+    assert 0.2 < median(shares) < 0.7
     assert not wrong
     assert counts["exact masks"][0] < 0.15
     assert counts["one eye, easy"] < (0.6, 1.1)

@@ -35,7 +35,7 @@ from promises.program import (
 )
 
 VIDEO = ("--motion", "video", "--level", "easy", "--no-images")
-ONE = (*VIDEO, "--frames", 40, "--seed", 5, "--lag", "2frames")
+ONE = (*VIDEO, "--frames", 32, "--seed", 5, "--lag", "2frames")
 STEERED = (*VIDEO, "--frames", 36, "--seed", 7, "--ecm")
 PAIR = (*VIDEO, "--frames", 14, "--seed", 3, "--arms", 2, "--stereo")
 IMAGES = ("--motion", "video", "--level", "easy", "--frames", 16, "--seed", 8)
@@ -97,11 +97,11 @@ def test_no_result_of_a_causal_run_uses_later_frames(kept: Kept, tmp_path: Path)
     check(whole, truth(session))
     assert not any(row["status"] == "ok" for row in list(whole.values())[:10])  # the base is not known yet
     shutil.copytree(session, tmp_path / "short")
-    for path in sorted((tmp_path / "short" / "masks").iterdir())[20:]:
+    for path in sorted((tmp_path / "short" / "masks").iterdir())[16:]:
         path.unlink()
     run("track", tmp_path / "short", "--causal", "--out", tmp_path / "out", *PLAIN)
     for frame, row in tracks(tmp_path / "out").items():
-        if frame < "0020":
+        if frame < "0016":
             for key in ("status", "camera_from_root", "joints"):
                 assert row[key] == whole[frame][key], (frame, key)
 
@@ -118,15 +118,15 @@ def test_instrument_is_lost_and_found_again(kept: Kept, tmp_path: Path) -> None:
     session = synth(kept, *ONE)
     calibration = kept("track", session, "--out", OUT).folder / "session.json"
     shutil.copytree(session, tmp_path / "gap")
-    for k in range(20, 26):
+    for k in range(16, 22):
         path = tmp_path / "gap" / "masks" / f"{k:04d}.png"
         cv2.imwrite(str(path), np.zeros((240, 320), np.uint8))
     ran = run("track", tmp_path / "gap", "--session", calibration, "--causal", "--out", tmp_path / "out", *PLAIN)
     found, true = tracks(tmp_path / "out"), truth(session)
-    assert {found[f"{k:04d}"]["status"] for k in range(20, 26)} == {"lost"}
-    assert all(found[f"{k:04d}"]["reasons"] for k in range(20, 26))
-    assert "6 frames (0020 to 0025)" in ran.out
-    after = [f"{k:04d}" for k in range(32, 40)]
+    assert {found[f"{k:04d}"]["status"] for k in range(16, 22)} == {"lost"}
+    assert all(found[f"{k:04d}"]["reasons"] for k in range(16, 22))
+    assert "6 frames (0016 to 0021)" in ran.out
+    after = [f"{k:04d}" for k in range(28, 32)]
     assert check(found, true, frames=after) < 1.5
 
 
@@ -167,7 +167,7 @@ def test_recording_of_images_alone_is_followed(kept: Kept, tmp_path: Path) -> No
 def test_recording_without_readings_is_followed_and_never_ok(kept: Kept) -> None:
     session = synth(kept, *ONE)
     found = tracks(kept("track", session, "--joints", "none", "--every", 3, "--out", OUT, *PLAIN).folder)
-    assert len(found) == 14
+    assert len(found) == 11
     assert not any(row["status"] == "ok" for row in found.values())
 
 
@@ -262,11 +262,11 @@ def test_interrupted_run_begins_anew_with_the_same_results(
     watch.start()
     assert run(*short, "--out", tmp_path / "out", "--workers", 1).code == 130
     watch.join()
-    assert 3 <= len(tracks(tmp_path / "out")) < 8
+    assert 3 <= len(tracks(tmp_path / "out")) < 7
     with open(lines, "a", encoding="utf-8") as file:
         file.write('{"frame": "00')  # as if the process was killed while writing
     ran, whole = run(*short, "--out", tmp_path / "out", "--workers", 1), kept(*short, "--out", OUT)
-    assert "followed from image to image, as by --causal: 8 frames are well in view" in ran.err
+    assert "followed from image to image, as by --causal: 7 frames are well in view" in ran.err
     found, expected = tracks(tmp_path / "out"), tracks(whole.folder)
     for row in (*found.values(), *expected.values()):
         del row["seconds"]
