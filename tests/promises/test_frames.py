@@ -153,6 +153,13 @@ def test_missing_reading_is_unknown_and_no_readings_are_doubtful(kept: Kept) -> 
         assert any("mirror twin" in one.get("relation", "") for one in twins)
 
 
+def test_mirror_twin_is_as_likely_where_nothing_is_read() -> None:
+    mask, camera, readings = by_hand(DEMO, "0000")
+    without, read = estimate(mask, camera, {}, BODY), estimate(mask, camera, readings, BODY)
+    assert without.mode_probability == pytest.approx(0.5, abs=0.1)
+    assert read.mode_probability > 0.95
+
+
 def test_errors_of_the_camera_file_count_where_it_is_metres_that_are_stated(kept: Kept) -> None:
     mask, camera, readings = by_hand(synth(kept, *FREE), "0001")
 
