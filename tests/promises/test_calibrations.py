@@ -158,7 +158,7 @@ def test_both_eyes_are_calibrated_and_drawn_beside_each_other(kept: Kept) -> Non
     for folder in ("overlays", "overlays_left_out"):
         picture = cv2.imread(str(out / folder / "0001.jpg"))
         assert picture is not None
-        assert picture.shape[1] * 240 == picture.shape[0] * 2 * 320
+        assert picture.shape[1] > 2 * picture.shape[0]  # one eye is 4 : 3, below a header
 
 
 def test_session_without_outer_joints_cannot_be_calibrated(tmp_path: Path, quick: Path) -> None:
