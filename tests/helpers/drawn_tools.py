@@ -33,14 +33,6 @@ class Drawing:
         """Give the drawing with left and right exchanged."""
         return Drawing(np.ascontiguousarray(self.image[:, ::-1]), np.ascontiguousarray(self.mask[:, ::-1]))
 
-    def beside(self, other: Drawing) -> Drawing:
-        """Give an image of the left half of this and the right half of another drawing, with the mask of this one."""
-        half = self.image.shape[1] // 2
-        image = np.concatenate([self.image[:, :half], other.image[:, half:]], axis=1)
-        mask = self.mask.copy()
-        mask[:, half:] = False
-        return Drawing(image, mask)
-
     def enlarged(self, times: int) -> Drawing:
         """Give the drawing with ``times`` as many pixels in each direction."""
         size = self.image.shape[1] * times, self.image.shape[0] * times

@@ -1,4 +1,4 @@
-"""Threads of independent items, and the limit of BLAS to one thread."""
+"""The limit of BLAS to one thread."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ import subprocess
 import sys
 
 import pytest
-
-from dvrk_cmaes.silhouette.threads import map_threaded
 
 LIMITED = """
 first, second = single_blas_thread(), single_blas_thread()
@@ -64,8 +62,3 @@ def test_blas_is_limited(code: str) -> None:
     """In a process of its own: the limit is the process's, and threads of other tests may need it."""
     ran = subprocess.run([sys.executable, "-c", SETUP + code], capture_output=True, text=True, check=False)
     assert (ran.returncode, ran.stderr) == (0, "")
-
-
-@pytest.mark.parametrize("threads", [1, 3])
-def test_values_are_in_the_order_of_their_items(threads: int) -> None:
-    assert map_threaded(lambda x: x * x, range(20), threads) == [x * x for x in range(20)]
