@@ -370,8 +370,6 @@ class TrackConfig:
 
     Attributes
     ----------
-    points
-        Points of the outline that are compared with the edges that an image's colours show.
     lag_std
         Standard deviation of the lag at the start, s, if it is not given.
     black_level
@@ -383,7 +381,6 @@ class TrackConfig:
         outer joints count as frozen.
     """
 
-    points: int = 350
     lag_std: float = 0.1
     black_level: int = 16
     colour_share: float = 0.15
@@ -444,6 +441,7 @@ REMOVED = {
     "session.rounds": "frames and session are solved in four rounds",
     "session.masks_again": "masks stay as `batch` found them",
     "track.modes": "the most probable mode is followed",
+    "track.points": "masks are found in images, and all of their contour counts",
     "session.focal_length_percent": "see camera.focal_length_percent",
     "session.principal_point_px": "see camera.principal_point_percent, of the focal length",
     **dict.fromkeys(("search.screened", "search.screen_shrink", "search.screen_detail_m"), "see search.samples"),

@@ -8,7 +8,7 @@ the expected error larger, which counts once it is beyond the limit.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, Literal
 
 from dvrk_cmaes.config import TrustConfig
@@ -16,9 +16,8 @@ from dvrk_cmaes.joints.interpolation import MOST_OFF, Sparseness
 from dvrk_cmaes.pose.probability import tip_probability
 from dvrk_cmaes.results.result import ExpectedError, Quality
 
-Kind = Literal["alone", "solved", "followed", "edges"]
-"""The results: of a frame by itself, and of one with its session; of an image that is followed by masks or by edges of
-colours."""
+Kind = Literal["alone", "solved", "followed"]
+"""The results: of a frame by itself, of one with its session, and of an image that is followed."""
 
 DISAGREES: Final = "disagrees with the session"
 """What the reason begins with for which a frame is left out that does not agree with the others."""
@@ -44,9 +43,6 @@ LEAST_OVERLAP: Final = 0.5
 """Intersection over union below which a mask does not support a pose, and a fit is not used."""
 UNSUPPORTED: Final = 0.3
 """Share of the silhouette without the instrument's colours, from which on a pose is doubtful."""
-_CONVINCING, _MOST_OUTSIDE = 0.65, 0.2  # shares of the outline with an edge of the image, and with its colours outside
-SUPPORTED: Final = 0.35, 0.5
-"""The least and the largest of these two shares with which an image supports a pose at all."""
 MOST_DISAGREEING: Final = 10
 """Images in a row that disagree with the calibration, after which it does not hold any more."""
 RELIED_ON: Final = 8
@@ -79,8 +75,7 @@ FOLLOWED: Final = FrameLimits("recording: the mask", 1.5, "the jaw tips lie", 0.
 In 17 followed recordings with known truth, frames that only the limits of contour and bend made doubtful were as
 accurate as others; so were those of four hard ones that only the overlap did.
 """
-_BY_EDGES: Final = replace(FOLLOWED, what="recording: the image")
-LIMITS: Final[dict[Kind, FrameLimits]] = {"alone": _ONE, "solved": _ONE, "followed": FOLLOWED, "edges": _BY_EDGES}
+LIMITS: Final[dict[Kind, FrameLimits]] = {"alone": _ONE, "solved": _ONE, "followed": FOLLOWED}
 
 
 def reasons(*found: str | None) -> list[str]:
@@ -283,20 +278,6 @@ def pose_lost(source: str, iou: float | None) -> str | None:
     if iou is None:
         return f"lost: the {source} shows nothing of the instrument"
     return f"lost: the mask does not support the pose (IoU {iou:.2f})" if iou < LEAST_OVERLAP else None
-
-
-def outline_without_edge(share: float) -> str | None:
-    """Judge the share of the outline near which the image has an edge."""
-    if share < _CONVINCING:
-        return f"outline without edge: {100 * (1 - share):.0f} % of it has no edge of the image near it"
-    return None
-
-
-def colours_without_outline(share: float) -> str | None:
-    """Judge the share of the outline outside which the instrument's colours go on."""
-    if share > _MOST_OUTSIDE:
-        return f"colours without outline: the instrument's go on beside {100 * share:.0f} % of it"
-    return None
 
 
 def silhouette_without_colours(share: float) -> str | None:

@@ -139,33 +139,32 @@ def doubts_in_view(
     camera: Camera,
     error: ExpectedError,
     trust: TrustConfig,
-    quality: Quality | None = None,
+    quality: Quality,
 ) -> list[str]:
-    """List the reasons, in words, of a pose in the camera of a view; without ``quality``, nothing asks for its mask."""
+    """List the reasons, in words, of a pose in the camera of a view, of whose mask it has a ``quality``."""
     limits, tips = LIMITS[kind], apply(seen.pose, instrument.tips(seen.joints))
     outside = outside_image(tips, camera) if instrument.jaw_tips else np.zeros(1, dtype=np.bool_)
-    of_mask: list[str] = []
-    if quality is not None:
-        width = shaft_width(instrument, camera, seen.pose)
-        # by itself a frame of a wide image is not trusted farther: depths were 6 mm off with contours 3 px off
-        distal_scale = 1.0 if kind == "alone" else camera.pixel_scale
-        bend_px = trust.largest_bend_px * camera.pixel_scale
-        bend_px = np.inf if width is None else max(bend_px, trust.largest_bend_share * width)
-        of_mask = reasons(
-            overlap_too_low(quality, 1 - limits.factor * (1 - trust.least_iou)),
-            wrist_or_jaws_off(quality, limits.factor * trust.largest_distal_px * distal_scale),
-            mask_cut_straight(quality, limits.factor * bend_px),
-        )
-    return of_mask + reasons(tip_out_of_view(limits, outside.tolist()), tips_not_accurate(error, trust))
+    width = shaft_width(instrument, camera, seen.pose)
+    # by itself a frame of a wide image is not trusted farther: depths were 6 mm off with contours 3 px off
+    distal_scale = 1.0 if kind == "alone" else camera.pixel_scale
+    bend_px = trust.largest_bend_px * camera.pixel_scale
+    bend_px = np.inf if width is None else max(bend_px, trust.largest_bend_share * width)
+    return reasons(
+        overlap_too_low(quality, 1 - limits.factor * (1 - trust.least_iou)),
+        wrist_or_jaws_off(quality, limits.factor * trust.largest_distal_px * distal_scale),
+        mask_cut_straight(quality, limits.factor * bend_px),
+        tip_out_of_view(limits, outside.tolist()),
+        tips_not_accurate(error, trust),
+    )
 
 
 def doubts_of_agreement(
     kind: Kind,
     misfit: float,
     config: SessionConfig,
-    quality: Quality | None = None,
-    usual: tuple[float, float] = (0.0, 0.0),
-    pixel_scale: float = 1.0,
+    quality: Quality,
+    usual: tuple[float, float],
+    pixel_scale: float,
 ) -> list[str]:
     """List the reasons, in words, for which a pose is not what its session expects.
 
@@ -173,10 +172,8 @@ def doubts_of_agreement(
     pose, ``usual`` the session's medians of ``iou`` and ``contour_px_95``, and ``pixel_scale`` that of the camera.
     """
     limits, (iou, px) = LIMITS[kind], usual
-    of_mask = None
-    if quality is not None:
-        most_px = max(limits.largest_px * pixel_scale, limits.contour_factor * px)
-        of_mask = mask_not_explained(quality, iou - limits.overlap_loss, most_px)
+    most_px = max(limits.largest_px * pixel_scale, limits.contour_factor * px)
+    of_mask = mask_not_explained(quality, iou - limits.overlap_loss, most_px)
     return reasons(of_mask, pose_not_expected(limits, misfit, config.largest_misfit))
 
 

@@ -27,7 +27,7 @@ from dvrk_cmaes.pose.judge import far_joints
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.track.frame_fits import FittedFrame, PredictedFrame, fit_block
-from dvrk_cmaes.track.histogram_ratio import ColourModel
+from dvrk_cmaes.track.image_masks import ColourModel
 from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES, MaskShape, choose_keyframes, has_outer_joints, well_in_view
 from dvrk_cmaes.track.reading_buffer import frozen_frames, frozen_since
 from dvrk_cmaes.track.window import FitEvidence, Judged, Window, WindowImage, judge_frame

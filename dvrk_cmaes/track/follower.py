@@ -6,17 +6,15 @@ The terms of an image are those of a recording on disk (`frame_fits`). The base 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.prediction import WRIST_ERROR, FoundLag, Prediction, endoscope_at
-from dvrk_cmaes.calibration.session_masks import changes_by_masks
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.frames.seen_view import seen_views
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
@@ -28,14 +26,11 @@ from dvrk_cmaes.pose.doubts import (
     readings_missing,
     reasons,
 )
-from dvrk_cmaes.pose.expected_error import expected_error
-from dvrk_cmaes.pose.judge import doubts_in_view, doubts_of_agreement
+from dvrk_cmaes.pose.judge import far_joints
 from dvrk_cmaes.pose.terms.expected import Expected
-from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.tracked import TrackResult, without_pose
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.colour_edges import EdgeFit
-from dvrk_cmaes.track.frame_fits import fit_near, views_that_show
+from dvrk_cmaes.track.frame_fits import MaskedFit, fit_seen
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.view_segmenter import Mask, Seen, ViewSegmenter
 from dvrk_cmaes.track.window import FitEvidence, Found, Judged, Window, WindowImage
@@ -59,10 +54,9 @@ class Followed:
 
 _WINDOW = 15  # images whose deviations are estimated together
 _SEEN_MOTION = (2e-4, 5e-3, 2e-2)  # m, rad of the shaft and rad of a joint, beyond which two masks differ
-_EDGES_PX = 0.7  # standard deviation of the margin that the colours' edges of all images of a window share
-_EDGES_ALIKE = 2.0  # factor by which edges of images near each other err more alike than masks do
 _LEARNED_EVERY = 0.2  # s
-_DISAGREES = 4  # images in a row that disagree, from which on the keyframes are solved again
+_IN_A_ROW = 4  # images that are inconsistent, from which on the keyframes are solved again
+_SOON = 1.0  # s, since following by a calibration began
 
 
 class Follower:
@@ -80,17 +74,18 @@ class Follower:
         Whether the calibration is of so few frames that images are to correct what it predicts: its errors then count
         as deviations that change slowly, and not as ones that all images share.
 
-    ``explained`` is whether the pose of the last image explains its masks or edges. ``disagreeing`` and ``unexplained``
-    are the numbers of images in a row up to it that disagree with the calibration, and that are not explained.
-    ``seconds`` is the time from the first image to the last.
+    ``explained`` is whether the pose of the last image explains its masks, ``masks``, which were given or found.
+    ``outliers`` and ``unsupported`` are the numbers of images in a row up to it whose innovation is beyond the gate,
+    and that no pose explains.
     """
 
     def __init__(
         self, given: Followed, calibration: SessionCalibration, lag: FoundLag | None, *, uncertain: bool = False
     ) -> None:
         self.calibration, self.lag = calibration, lag
-        self.explained, self.disagreeing, self.unexplained, self.seconds = False, 0, 0, 0.0
-        self._began = np.inf  # s, time of the first image
+        self.explained, self.outliers, self.unsupported = False, 0, 0
+        self.masks: Mapping[str, Mask] = {}
+        self._began, self._seconds = np.inf, 0.0  # s, time of the first image, and since then
         self._given, self._uncertain = given, uncertain
         self._views = calibration.corrected_views(given.rig.views)
         self._window = Window(calibration, given.rig.views[0].camera, given.instrument, given.config)
@@ -114,18 +109,18 @@ class Follower:
 
     @property
     def contradicted(self) -> bool:
-        """Whether so many images in a row disagree with the calibration that it does not hold any more."""
-        return self.disagreeing >= MOST_DISAGREEING
+        """Whether so many images in a row are inconsistent with the calibration that it does not hold any more."""
+        return self.outliers >= MOST_DISAGREEING
 
     @property
-    def explains_little(self) -> bool:
-        """Whether the last masks are not explained, as where a calibration of few frames is wrong, or masks are bad."""
-        return self.unexplained >= _DISAGREES
+    def is_inconsistent(self) -> bool:
+        """Whether the last images are inconsistent with the calibration."""
+        return self.outliers >= _IN_A_ROW
 
     @property
-    def disagrees(self) -> bool:
-        """Whether the last images disagree with the calibration."""
-        return self.disagreeing >= _DISAGREES
+    def fails_early(self) -> bool:
+        """Whether no pose has explained the last masks so soon after the first image that the calibration is wrong."""
+        return self.unsupported >= _IN_A_ROW and self._seconds <= _SOON
 
     def _predicted(self, reading: ReadingAt, outer: Float64, time: float) -> Prediction:
         """Predict an image from its readings less the lag, with other readings of the outer joints (4,), rad and m."""
@@ -160,7 +155,7 @@ class Follower:
         """
         given = self._given
         self._began = min(self._began, time)
-        self.seconds = time - self._began
+        self._seconds = time - self._began
         if reading.has_outer:
             self._outer = reading.outer
         if self._outer is None:
@@ -171,20 +166,22 @@ class Follower:
             self._still = at
         elif reading.has_outer and has_moved(self._still, at):
             seen = seen.without_frozen()
-        masks = given.segmenter.given(seen)
         before, self._deviation = self._deviation, None
-        views, edges = self._views_of(seen, masks) if masks else (), None
-        if views:
-            evidence = self._by_masks(views, at, spread, before)
-        else:
-            edges = None if masks else self._edges_near(at, spread, before, seen)
-            evidence = self._by_edges(edges, at, spread)
+        fitted = self._fit(seen, at, spread, before)
+        evidence = FitEvidence.of(None, at, spread)
+        if fitted is not None:
+            if fitted.holds:
+                self._deviation = fitted.fit.at.minus(at)
+                self._lengths |= {view.name: px for view, px in zip(fitted.views, fitted.own.lengths, strict=True)}
+            inflation = fitted.own.noises[0].inflation(self._window.camera.pixel_scale)
+            evidence = FitEvidence.of(fitted.fit, at, spread, inflation=inflation, holds=fitted.holds)
+        self.masks = {} if fitted is None else fitted.masks
         image = WindowImage(time, predicted, 0, evidence)
         self._images.append(image)
         (found,) = self._window.solve(list(self._images), only_last=True)
-        judged = self._judged(views, edges, found, evidence.misfit, seen)
+        judged = self._judged(fitted, found, evidence.misfit, seen, predicted)
         if judged.error is not None:
-            self._count(judged, evidence.misfit, reading, in_view=not masks or shows_well(masks))
+            self._count(judged, evidence.misfit, reading, in_view=shows_well(self.masks))
         else:
             self.explained = False
         if self.explained and time - self._learned >= _LEARNED_EVERY:
@@ -192,76 +189,45 @@ class Follower:
             given.segmenter.learn(seen, self._views, found[0])
         still = reading.still and judged.error is not None
         doubts = [
-            *reasons(calibration_contradicted(self.disagreeing)),
+            *reasons(calibration_contradicted(self.outliers)),
             *judged.reasons,
             *reasons(readings_missing(reading.has_outer, still, seen.source)),
         ]
         return self._window.result(image, found, judged, doubts)
 
     def _count(self, judged: Judged, misfit: float, reading: ReadingAt, *, in_view: bool) -> None:
-        """Count images that disagree; ``in_view`` is whether this one shows enough to contradict the calibration."""
-        disagrees = judged.status == "lost" or misfit > self._given.config.session.largest_misfit
+        """Count outliers; ``in_view`` is whether the image shows enough to contradict the calibration."""
+        outlier = judged.status == "lost" or misfit > self._given.config.session.largest_misfit
         read = reading.has_outer and not reading.still
-        self.disagreeing = self.disagreeing + in_view if disagrees and read else 0
-        self.explained = judged.explained and not disagrees
-        self.unexplained = 0 if self.explained else self.unexplained + in_view
+        self.outliers = self.outliers + in_view if outlier and read else 0
+        self.explained = judged.explained and not outlier
+        self.unsupported = 0 if self.explained else self.unsupported + in_view
 
-    def masks_of(self, seen: Seen) -> dict[str, Mask]:
-        """Find masks in the last image, which has none, about the pose to which it was followed."""
-        if self._deviation is None:
-            return {}
-        return self._given.segmenter.masks_at(seen, self._views, self._images[-1].at.moved(self._deviation))
-
-    def _views_of(self, seen: Seen, masks: Mapping[str, Mask]) -> list[FrameView]:
-        """Return the views whose masks show the instrument."""
-        ignored = self._given.segmenter.ignored(seen)
-        shown = self.calibration.corrected_views(seen_views(masks, self._given.rig, ignored))
-        return views_that_show(shown, self._given.body)
-
-    def _by_masks(self, views: Sequence[FrameView], at: Posed, spread: Float64, before: Float64 | None) -> FitEvidence:
-        """Fit an image's masks, about what is expected of its pose; ``before`` (D,) is the deviation before."""
-        config, expected = self._given.config, Expected.of(at, spread)
-        fit, own = fit_near(views, config, expected, before, self.calibration.masks, self._lengths)
-        if fit.explains_mask:
-            self._deviation = fit.at.minus(at)
-            self._lengths |= {view.name: length for view, length in zip(views, own.lengths, strict=True)}
-        inflation = own.noises[0].inflation(self._window.camera.pixel_scale)
-        return FitEvidence.of(fit, at, spread, inflation=inflation, holds=fit.explains_mask)
-
-    def _edges_near(self, at: Posed, spread: Float64, before: Float64 | None, seen: Seen) -> EdgeFit | None:
-        """Fit the edges that the colours of an image without masks show, as `_by_masks` does."""
-        start = at if before is None else at.moved(before)
-        return self._given.segmenter.fit(seen, start, Expected.of(at, spread), near=before is not None)
-
-    def _by_edges(self, fit: EdgeFit | None, at: Posed, spread: Float64) -> FitEvidence:
-        """Return what the fit to edges states, nothing where there is none."""
-        if fit is None:
-            return FitEvidence.of(None, at, spread)
-        if fit.holds:
-            self._deviation = fit.at.minus(at)
-        moves = changes_by_masks(fit.at, self._views[0].camera, self._given.instrument)
-        edges = fit.with_margin(_EDGES_PX * moves[:, 0])
-        edges = replace(edges, by_masks=edges.information @ moves)
-        return FitEvidence.of(edges, at, spread, inflation=_EDGES_ALIKE, holds=fit.holds)
+    def _fit(self, seen: Seen, at: Posed, spread: Float64, before: Float64 | None) -> MaskedFit | None:
+        """Fit an image about what is expected of its pose; ``before`` (D,) is the deviation before."""
+        given, segmenter = self._given, self._given.segmenter
+        if not seen.clear:
+            return None
+        shown = self.calibration.corrected_views(segmenter.views(seen))
+        colours = None if segmenter.given(seen) else segmenter.colours
+        expected, masks = Expected.of(at, spread), self.calibration.masks
+        return fit_seen(shown, given.body, given.config, expected, before, masks, colours, self._lengths)
 
     def _judged(
-        self, views: Sequence[FrameView], fit: EdgeFit | None, found: Found, misfit: float, seen: Seen
+        self, fitted: MaskedFit | None, found: Found, misfit: float, seen: Seen, predicted: Prediction
     ) -> Judged:
-        """Judge the pose of an image by how it explains the masks of ``views``, or by the fit to its edges."""
-        given = self._given
-        if views:
-            return self._window.judged(views, found, misfit, given.body)
-        if fit is None:
+        """Judge the pose of an image by how it explains the masks that were given or found."""
+        if fitted is None:
             lost = seen.problem is None or (seen.main.mask is not None and not seen.any_same)
             doubts = reasons(pose_lost(seen.source, None)) if seen.problem is None else [seen.problem]
             return Judged("lost" if lost else "doubtful", doubts, None)
-        error = expected_error(given.instrument, *found)
-        if not fit.holds:
-            return Judged("lost", [f"lost: {'; '.join(fit.doubts)}"], error, fit.sigma)
-        camera = self._views[0].camera
-        doubts = fit.doubts + doubts_in_view("edges", found[0], given.instrument, camera, error, given.config.trust)
-        doubts += doubts_of_agreement("edges", misfit, given.config.session)
-        return Judged("doubtful" if doubts else "ok", doubts, error, fit.sigma, explained=not fit.doubts)
+        judged = self._window.judged(fitted.views, found, misfit, self._given.body, seen.source)
+        doubts = fitted.doubts
+        if seen.source == "image":
+            names = self._given.instrument.joint_names
+            doubts = [*doubts, *far_joints(found[0], predicted.at[0], predicted.spread[0], names)]
+        explained = judged.explained and not fitted.doubts
+        return replace(judged, reasons=[*judged.reasons, *doubts], explained=explained)
 
 
 def has_moved(before: Posed, now: Posed) -> bool:

@@ -34,9 +34,9 @@ from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.pose.doubts import UNSUPPORTED, reasons, silhouette_without_colours
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.views import FrameView, silhouette_of
+from dvrk_cmaes.segment.sizes import FINEST
 from dvrk_cmaes.silhouette import Body, Renderer
-from dvrk_cmaes.track.histogram_ratio import ColourModel
-from dvrk_cmaes.track.image_masks import SPREAD_OF_FIT, learned_colours, mask_around
+from dvrk_cmaes.track.image_masks import PASSES, SPREAD_OF_FIT, ColourModel, learned_colours, mask_around
 
 _LEAST_SHOWN = 40  # px of mask, from which on a frame is fitted
 _ANOTHER_START = 1.0  # standard deviations per parameter between two starts that are both tried
@@ -62,6 +62,70 @@ class FittedFrame:
     fit: FrameFit
     seconds: float
     doubts: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class MaskedFit:
+    """The fit of the views of an image to masks, given or found by colours.
+
+    ``masks`` (H, W) are those, by view, ``own`` is what the outlines are measured by. ``unsupported`` is the largest
+    share of a silhouette about which a mask was found that has not the instrument's colours.
+    """
+
+    views: tuple[FrameView, ...]
+    fit: FrameFit
+    own: OwnEstimate
+    masks: Mapping[str, Bool]
+    unsupported: float = 0.0
+
+    @property
+    def doubts(self) -> list[str]:
+        """The reasons to doubt the masks that were found."""
+        return reasons(silhouette_without_colours(self.unsupported))
+
+    @property
+    def holds(self) -> bool:
+        """Whether the fit explains its masks, and these are not in doubt."""
+        return self.fit.explains_mask and not self.doubts
+
+
+def fit_seen(
+    seen: Sequence[SeenView],
+    body: Body,
+    config: EstimateConfig,
+    expected: Expected,
+    before: Float64 | None,
+    masks: SessionMasks | None,
+    colours: Mapping[str, ColourModel] | None,
+    lengths: Mapping[str, float] | None = None,
+) -> MaskedFit | None:
+    """Fit the views of an image as `fit_near`, with ``colours`` of the views by masks that are found.
+
+    They are found about where the instrument is expected, and again about the fit where that lies elsewhere. None if
+    the masks show nothing.
+    """
+    at = expected.mean if before is None else expected.mean.moved(before)
+    fitted: MaskedFit | None = None
+    last = list[Bool]()
+    running = lengths is not None
+    for k in range(1 if running and before is not None else _ROUNDS):
+        masked, unsupported = tuple(seen), 0.0
+        if colours is not None:
+            drawn = [silhouette_of(at, view, body) for view in seen]
+            if k and min(overlap_of(*pair) for pair in zip(last, drawn, strict=True)) > _SAME:
+                break
+            spread, last = SPREAD_OF_FIT if k else _spread(expected, seen[0].camera), drawn
+            masked, unsupported = _masked(seen, drawn, colours, spread, running=running)
+        views = views_that_show(masked, body)
+        if not views:
+            return None
+        fit, own = fit_near(views, config, expected, before, masks, lengths)
+        at = fit.at
+        shown = {view.name: view.mask for view in masked if view.given}
+        fitted = MaskedFit(tuple(views), fit, own, shown, unsupported)
+        if colours is None:
+            break
+    return fitted
 
 
 def views_that_show(seen: Sequence[SeenView], body: Body) -> list[FrameView]:
@@ -110,6 +174,7 @@ def fit_near(
     return fit_frame(views, config, expected, starts, margin=margin, lengths=of_views, preset=preset)
 
 
+_LONGEST = 320  # px, longer side of the images in which masks are found while they come
 _ROUNDS = 3  # of masks and fits of a frame, at most
 _SAME = 0.97  # intersection over union of the silhouettes of two rounds, from which on the mask is not found again
 _LARGEST_SPREAD = 12.0  # px, of an outline that is expected
@@ -182,9 +247,9 @@ def around_task(
         return None
     data = with_outside(data)
     drawn = [silhouette_of(expected.mean, view, body) for view in data.views]
-    found, unsupported = _masked(data, drawn, colours, _spread(expected, data.camera))
-    shown = any(view.given and view.shows for view in found.views)
-    return found if shown and unsupported < UNSUPPORTED else None
+    views, unsupported = _masked(data.views, drawn, colours, _spread(expected, data.camera))
+    shown = any(view.given and view.shows for view in views)
+    return replace(data, views=views) if shown and unsupported < UNSUPPORTED else None
 
 
 def _fit_one(
@@ -195,51 +260,40 @@ def _fit_one(
     masks: SessionMasks | None,
     colours: Mapping[str, ColourModel] | None,
 ) -> FittedFrame | None:
-    """Read and fit a frame as `fit_near`; with ``colours`` by masks that are found, and again where the fit is not.
-
-    ``before`` (D,) is the deviation of the frame before from its prediction. None if the masks show nothing.
-    """
+    """Read a frame and fit it as `fit_seen`; None if its masks show nothing."""
     started, data = time.perf_counter(), frame.read()
     if data is None:
         return None
-    unsupported, last = 0.0, list[Bool]()
     if colours is not None:
         data = with_outside(data)
-    at = frame.expected.mean if before is None else frame.expected.mean.moved(before)
-    for k in range(_ROUNDS):
-        masked = data
-        if colours is not None:
-            drawn = [silhouette_of(at, view, body) for view in data.views]
-            if k and min(overlap_of(*pair) for pair in zip(last, drawn, strict=True)) > _SAME:
-                break
-            spread, last = SPREAD_OF_FIT if k else _spread(frame.expected, data.camera), drawn
-            masked, unsupported = _masked(data, drawn, colours, spread)
-        views = views_that_show(masked.views, body)
-        if not views:
-            return None
-        fit, own = fit_near(views, config, frame.expected, before, masks)
-        at = fit.at
-        if colours is None:
-            break
-    stored, doubts = StoredFrame.of_views(views, data.camera, own), reasons(silhouette_without_colours(unsupported))
-    return FittedFrame(stored, fit, time.perf_counter() - started, tuple(doubts))
+    fitted = fit_seen(data.views, body, config, frame.expected, before, masks, colours)
+    if fitted is None:
+        return None
+    stored = StoredFrame.of_views(fitted.views, data.camera, fitted.own)
+    return FittedFrame(stored, fitted.fit, time.perf_counter() - started, tuple(fitted.doubts))
 
 
 def _masked(
-    data: FrameData, drawn: list[Bool], colours: Mapping[str, ColourModel], spread: float
-) -> tuple[FrameData, float]:
-    """Return a frame with masks found around silhouettes, and the largest share of one that is unsupported."""
+    seen: Sequence[SeenView],
+    drawn: Sequence[Bool],
+    colours: Mapping[str, ColourModel],
+    spread: float,
+    *,
+    running: bool = False,
+) -> tuple[tuple[SeenView, ...], float]:
+    """Return views with masks found around silhouettes, and the largest share of one that is unsupported."""
     views, shares = [], [0.0]
-    for view, silhouette in zip(data.views, drawn, strict=True):
+    for view, silhouette in zip(seen, drawn, strict=True):
         model = colours.get(view.name)
         if view.given or view.image is None or model is None:
             views.append(replace(view, image=None))
             continue
-        found = mask_around(view.image, silhouette, model, view.ignore, spread)
+        how = (1, _LONGEST) if running else (PASSES, FINEST)
+        found = mask_around(view.image, silhouette, model, view.ignore, spread, *how)
         mask = np.zeros_like(silhouette) if found is None else found.mask
         views.append(replace(view, mask=mask, given=True, image=None))
         shares.append(0.0 if found is None else found.unsupported)
-    return replace(data, views=tuple(views)), max(shares)
+    return tuple(views), max(shares)
 
 
 def _spread(expected: Expected, camera: Camera) -> float:

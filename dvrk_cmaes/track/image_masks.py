@@ -9,17 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache, cached_property
 from typing import Final
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.geometry import Bool, Float32, Image
 from dvrk_cmaes.segment import around
 from dvrk_cmaes.segment.prompts import no_prompts
 from dvrk_cmaes.segment.sizes import FINEST, resized, shrunk, size_within
-from dvrk_cmaes.track.histogram_ratio import ColourModel, bins_of
 
 _BLURRED = 2.0  # px from the outline, within which pixels have colours of both sides
 _AROUND = 40.0  # px from the outline, within which colours are learned
@@ -33,6 +34,61 @@ SPREAD_OF_FIT: Final = 2.0
 """Standard deviation, px, of the outline of a pose that is fitted to an image."""
 PASSES: Final = 2
 """Passes in which a mask is found, where the silhouette is that of a prediction."""
+
+
+_BINS = 20  # of a channel
+# bins by the square root of a channel's value: dark colours, such as the shaft's, need finer ones
+_BIN_OF = np.minimum((np.sqrt(np.arange(256) / 255.0) * _BINS).astype(np.int32), _BINS - 1)
+_BIN_OF_CHANNEL = [_BIN_OF * _BINS**k for k in (2, 1, 0)]
+_SMOOTHED = 0.7  # bins, standard deviation of the Gaussian that smooths a histogram along each axis
+_FLOOR = 0.05  # of the probability, spread evenly over all bins: what was not seen tells nothing
+_LARGEST = 3.0  # log-odds of a single pixel
+
+
+def bins_of(pixels: NDArray[np.uint8]) -> NDArray[np.int32]:
+    """Return the index of the histogram's bin of each pixel (..., 3), BGR."""
+    blue, green, red = (bins.take(pixels[..., k]) for k, bins in enumerate(_BIN_OF_CHANNEL))
+    return np.asarray(blue + green + red)
+
+
+@dataclass(frozen=True, eq=False)
+class ColourModel:
+    """Smoothed histograms (B,) of the colours of the instrument and beside it, each of sum one."""
+
+    inside: Float32
+    outside: Float32
+
+    @classmethod
+    def learned(cls, inside: NDArray[np.int32], outside: NDArray[np.int32]) -> ColourModel:
+        """Return the model of the bins that were seen on the instrument and beside it."""
+        return cls(_histogram(inside), _histogram(outside))
+
+    @cached_property
+    def log_odds(self) -> Float32:
+        """The logarithm (B,) of the ratio of the probabilities."""
+        floor = np.float32(_FLOOR / self.outside.size)
+        return np.clip(np.log((self.inside + floor) / (self.outside + floor)), -_LARGEST, _LARGEST)
+
+    def mixed(self, other: ColourModel, share: float) -> ColourModel:
+        """Return the model with a share of another one's histograms."""
+        keep, new = np.float32(1 - share), np.float32(share)
+        return ColourModel(keep * self.inside + new * other.inside, keep * self.outside + new * other.outside)
+
+
+@cache
+def _smoothing() -> Float32:
+    """Return the matrix that smooths a histogram along one axis."""
+    at = np.arange(_BINS)
+    kernel = np.exp(-0.5 * ((at[:, None] - at) / _SMOOTHED) ** 2)
+    return np.asarray(kernel / kernel.sum(axis=0), np.float32)
+
+
+def _histogram(bins: NDArray[np.int32]) -> Float32:
+    """Return the smoothed histogram (B,) of bins, of sum one."""
+    count = np.bincount(bins, minlength=_BINS**3).astype(np.float32)
+    for _ in range(3):  # each time along the first axis, which then becomes the last
+        count = (_smoothing() @ count.reshape(_BINS, -1)).T
+    return np.asarray(count.ravel() / max(float(count.sum()), 1e-9), np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,14 +111,14 @@ def learned_colours(image: Image, silhouette: Bool, ignore: Bool | None) -> Colo
     inside, outside = (counts & (side > _BLURRED) & (side < _AROUND) for side in (-distance, distance))
     if min(int(inside.sum()), int(outside.sum())) < _LEAST_PIXELS:
         return None
-    return ColourModel.learned([bins[inside]], bins[outside])
+    return ColourModel.learned(bins[inside], bins[outside])
 
 
 def pooled_colours(models: Sequence[ColourModel]) -> ColourModel:
     """Return the model of the mean histograms of at least one model."""
     inside = np.stack([model.inside for model in models]).mean(axis=0)
     outside = np.stack([model.outside for model in models]).mean(axis=0)
-    return ColourModel.of(np.asarray(inside, np.float32), np.asarray(outside, np.float32))
+    return ColourModel(np.asarray(inside, np.float32), np.asarray(outside, np.float32))
 
 
 def mask_around(
@@ -72,6 +128,7 @@ def mask_around(
     outside: Bool | None = None,
     spread: float = 0.0,
     passes: int = PASSES,
+    longest: int = FINEST,
 ) -> FoundMask | None:
     """Find the mask of the instrument in an image around the silhouette that is expected.
 
@@ -82,13 +139,15 @@ def mask_around(
     silhouette
         (H, W), the expected one.
     colours
-        Colours of the instrument, of one part, and of its surroundings.
+        Colours of the instrument and of its surroundings.
     outside
         (H, W), pixels that are not instrument, such as those outside the field of view.
     spread
         Standard deviation of the expected outline, px.
     passes
         How often the mask is found, each time by the local colours about the outline of the one before.
+    longest
+        px, longer side of the image, reduced if need be, in which it is found.
 
     Returns
     -------
@@ -97,8 +156,8 @@ def mask_around(
         silhouette is without its colours.
     """
     height, width = silhouette.shape
-    size, scale = size_within(silhouette.shape, FINEST)
-    small = shrunk(image, FINEST)
+    size, scale = size_within(silhouette.shape, longest)
+    small = shrunk(image, longest)
     prompts = no_prompts(small.shape)
     if outside is not None:
         prompts = prompts.with_outside(resized(outside, size))
@@ -119,5 +178,5 @@ def mask_around(
 
 def _by_colours(image: Image, colours: ColourModel) -> Float32:
     """Return the log-odds (H, W) of the pixels' colours."""
-    odds = colours.log_odds[0].take(bins_of(image))
+    odds = colours.log_odds.take(bins_of(image))
     return np.asarray(_COLOURS_WEIGHT * cv2.GaussianBlur(odds, (0, 0), _NOISE), np.float32)

@@ -6,22 +6,26 @@ that was seen.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
 import numpy as np
 
+from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import ecm_readings
-from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.joints.series import ReadingSeries
-from dvrk_cmaes.track.keyframe_problem import Keyframe
-from dvrk_cmaes.track.reading_buffer import ReadingBuffer
+from dvrk_cmaes.pose.doubts import readings_too_sparse
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.track.follower import Followed, Follower
+from dvrk_cmaes.track.keyframe_problem import Keyframe, KeyframeProblem, KeyframeTask, Solution
+from dvrk_cmaes.track.reading_buffer import ReadingAt, ReadingBuffer
+from dvrk_cmaes.track.view_segmenter import Seen
 
 MOST_KEYFRAMES: Final = 60
 LEAST_KEYFRAMES: Final = 12
@@ -132,6 +136,9 @@ SOLVED_AT: Final = (4, 8, 12, 16, 20, 24, 36, 48, MOST_KEYFRAMES)
 
 NEW_AT_MOST: Final = 20
 """Of the largest number of keyframes, those that are new since they were last solved, at which they are solved anew."""
+RELIABLE: Final = 32
+"""Keyframes, from which on their solution is used although they do not tell the lag, and its errors count as shared."""
+_NEW_THAT_DISAGREE = 5  # keyframes, of the largest number, with which they are solved anew if images disagree
 
 _LEAST_APART = 0.15  # of `distance_units`, between two keyframes
 _LEAST_SECONDS = 0.09  # between two keyframes
@@ -139,18 +146,22 @@ _SECONDS = 4.0  # of as different images as one of `distance_units`
 _SHAPES = 200  # masks whose areas tell what is well in view
 
 
-class KeyframeStore:
-    """Keyframes of what is followed; ``readings`` keep those around them.
+class Keyframes:
+    """Keyframes of what is followed, and their last solution; ``readings`` keep those around them.
 
-    ``taken`` is the number of images that were kept so far, whether they still are or not.
+    ``solved`` is the last solution. ``base`` counts the bases that were given up.
     """
 
-    def __init__(self, rig: Rig, joint_names: tuple[str, ...], readings: ReadingBuffer) -> None:
-        self._rig, self._readings = rig, readings
-        self._names = (*OUTER_JOINTS, *joint_names, *ECM_JOINTS)
-        self.taken = 0
+    def __init__(self, given: Followed, readings: ReadingBuffer) -> None:
+        self._given, self._readings = given, readings
+        self._names = (*OUTER_JOINTS, *given.instrument.joint_names, *ECM_JOINTS)
+        self.solved = Solution(None, "", 0, {})
+        self.base = 0
+        self._alone: dict[str, Result] = {}  # results of keyframes by themselves, by name
         self._kept: list[Keyframe] = []
         self._places = np.zeros((0, len(self._names) + 1))
+        self._taken, self._solved_of = 0, 0  # images that were kept so far, and when some were last given to be solved
+        self._asked: frozenset[str] = frozenset()  # names of these
         self._shapes: list[MaskShape] = []
         self._measured: tuple[Bool, MaskShape] | None = None  # the last mask
         self._last: float | None = None
@@ -159,13 +170,18 @@ class KeyframeStore:
     def __len__(self) -> int:
         return len(self._kept)
 
-    @property
-    def steered(self) -> bool:
-        """Whether the arm of the endoscope is read, and has moved between keyframes."""
-        return Steered.of(ecm_readings([one.readings for one in self._kept])) is not None
+    def give_up(self, *, few: bool) -> None:
+        """Forget the last solution, since images contradict it.
 
-    def clear(self) -> None:
-        """Forget all keyframes: those that follow are of another base."""
+        The base may have moved: the keyframes are forgotten. Those of a solution of ``few`` that are to be solved once
+        more are not, since that may have been wrong itself, nor those of an endoscope whose readings say where it is.
+        """
+        again = few and len(self) > self.solved.keyframes
+        self.solved, self._asked = Solution(None, "", 0, {}), frozenset()
+        if again or Steered.of(ecm_readings([one.readings for one in self._kept])) is not None:
+            return
+        self.base += 1
+        self._alone.clear()
         self._kept, self._places, self._readings.near = [], self._places[:0], []
 
     def shows_well(self, masks: Mapping[str, Bool]) -> bool:
@@ -181,58 +197,50 @@ class KeyframeStore:
 
     def _first_of(self, masks: Mapping[str, Bool]) -> Bool | None:
         """Return the mask (H, W) of the first view that has one."""
-        mask = next((masks[name] for name in self._rig.names if name in masks), None)
+        mask = next((masks[name] for name in self._given.rig.names if name in masks), None)
         return mask if mask is not None and mask.any() else None
 
-    def is_new(self, time: float, readings: Mapping[str, float]) -> bool:
-        """Whether an image of a time, s, with readings differs from all that are kept."""
-        if not set(OUTER_JOINTS) <= set(readings) or (self._kept and time - self._kept[-1].time < _LEAST_SECONDS):
-            return False
-        return self._apart(self._place(time, readings)) >= _LEAST_APART
+    def offer(self, time: float, reading: ReadingAt, seen: Seen, following: Follower | None) -> None:
+        """Keep an image of a time, s, whose readings then are ``reading``, if it shows enough and differs from others.
 
-    def _apart(self, place: Float64) -> float:
-        """Return how far a place is from the nearest keyframe, infinite without one."""
-        return float(np.linalg.norm(self._places - place, axis=1).min(initial=np.inf))
-
-    def _place(self, time: float, readings: Mapping[str, float]) -> Float64:
-        """Return where an image lies among others, in units of the distance between keyframes."""
-        values = np.array([readings.get(name, 0.0) for name in self._names])
-        return np.array([*(values / distance_units(self._names)), time / _SECONDS])
-
-    def offer(
-        self,
-        time: float,
-        masks: Mapping[str, Bool],
-        ignored: Mapping[str, Bool],
-        readings: Mapping[str, float],
-        rates: Mapping[str, float],
-    ) -> bool:
-        """Keep an image, if its masks, by view, show enough, and it differs from all that are kept; whether it is.
-
-        ``readings`` are those at its ``time``, s, and ``rates`` theirs per s.
+        Where it has no masks, those are kept that were found about the pose to which it was followed, if that explains
+        them. Where readings stand still or are too sparse for the motion, they do not tell what the image shows.
         """
+        if reading.still or (reading.sparse is not None and readings_too_sparse(reading.sparse) is not None):
+            return
+        masks: Mapping[str, Bool] = self._given.segmenter.given(seen)
+        if not masks and following is not None and following.explained:
+            masks = following.masks
+        if not masks:
+            return
         if self._last is not None:
             self._interval = [*self._interval[-50:], time - self._last]
         self._last = time
         mask = self._first_of(masks)
         if mask is None:
-            return False
+            return
         self._shapes = [*self._shapes[-_SHAPES:], self._shape_of(mask)]
-        if not well_in_view(self._shapes)[-1] or not self.is_new(time, readings):
-            return False
-        place = self._place(time, readings)
-        if len(self._kept) >= MOST_KEYFRAMES and not self._drops_one(self._apart(place)):
-            return False
-        shown, hidden = ({name: np.packbits(mask) for name, mask in own.items()} for own in (masks, ignored))
-        self._kept.append(Keyframe(time, shown, hidden, dict(readings), dict(rates)))
+        readings = reading.by_name(self._given.instrument.joint_names)
+        if not well_in_view(self._shapes)[-1] or not reading.has_outer:
+            return
+        here = np.array([readings.get(name, 0.0) for name in self._names])
+        place = np.array([*(here / distance_units(self._names)), time / _SECONDS])
+        apart = float(np.linalg.norm(self._places - place, axis=1).min(initial=np.inf))
+        if apart < _LEAST_APART or (self._kept and time - self._kept[-1].time < _LEAST_SECONDS):
+            return
+        if len(self) >= MOST_KEYFRAMES and not self._drops_one(apart):
+            return
+        rates = dict(zip(self._names, [*reading.outer_rate.tolist(), *reading.joint_rate.tolist()], strict=False))
+        both = masks, self._given.segmenter.ignored(seen)
+        shown, hidden = ({name: np.packbits(of_view) for name, of_view in own.items()} for own in both)
+        self._kept.append(Keyframe(time, shown, hidden, readings, rates))
         self._places = np.vstack([self._places, place])
         self._readings.near = [keyframe.time for keyframe in self._kept]
-        self.taken += 1
-        return True
+        self._taken += 1
 
     def _drops_one(self, nearest: float) -> bool:
         """Drop one of the two keyframes that are nearest to each other, if they are nearer than ``nearest``."""
-        apart = np.linalg.norm(self._places[:, None] - self._places, axis=2) + np.diag(np.full(len(self._kept), np.inf))
+        apart = np.linalg.norm(self._places[:, None] - self._places, axis=2) + np.diag(np.full(len(self), np.inf))
         closest = int(apart.min(axis=1).argmin())
         if apart[closest].min() >= nearest:
             return False
@@ -240,23 +248,73 @@ class KeyframeStore:
         self._places = np.delete(self._places, closest, axis=0)
         return True
 
-    @property
-    def names(self) -> list[str]:
-        """Names of the keyframes that are kept."""
-        return [keyframe.name for keyframe in self._kept]
+    def due(self, *, disagrees: bool) -> bool:
+        """Whether there are more keyframes than when they were last solved, by enough that it pays.
 
-    def spread(self, most: int, first: Collection[str] = ()) -> list[Keyframe]:
-        """Return at most some keyframes: those named ``first``, and each time that one which is farthest from them."""
-        before = [index for index, keyframe in enumerate(self._kept) if keyframe.name in first]
+        Where the last images disagree with the solution, one more is enough. When there are as many as are kept, a
+        third of them must be new, or some where images disagree.
+        """
+        given, new = self._most_given, self._taken - self._solved_of
+        if disagrees and given <= self.solved.keyframes and len(self) > SOLVED_AT[0]:
+            return new >= (_NEW_THAT_DISAGREE if len(self) >= SOLVED_AT[-1] else 1)
+        if given >= SOLVED_AT[-1] and new >= NEW_AT_MOST:
+            return True
+        return any(given < count <= self._most for count in SOLVED_AT)
+
+    @property
+    def _most_given(self) -> int:
+        """Most keyframes that were solved, or given to be."""
+        return max(self.solved.keyframes, len(self._asked))
+
+    @property
+    def _most(self) -> int:
+        """Most keyframes to solve next: twice those before, since more would take too long to be used soon."""
+        return min(len(self), max(SOLVED_AT[0], 2 * self._most_given))
+
+    def problem(self) -> KeyframeProblem:
+        """Return what the keyframes pose to be solved; of many new ones, those that are farthest from each other.
+
+        They test the camera file, which takes long, once as many as are kept have been solved without that.
+        """
+        keyframes, given, config = self._spread(self._most), self._given, self._given.config
+        self._asked, self._solved_of = frozenset(one.name for one in keyframes), self._taken
+        if self.solved.keyframes < SOLVED_AT[-1]:
+            config = replace(config, session=replace(config.session, test_camera=False))
+        keyframes = sorted(keyframes, key=lambda one: one.time)
+        alone = {one.name: self._alone[one.name] for one in keyframes if one.name in self._alone}
+        series = self._series(keyframes)
+        return KeyframeProblem(tuple(keyframes), series, given.rig, given.arm, config, alone, self.base)
+
+    @property
+    def unsolved(self) -> list[KeyframeTask]:
+        """The keyframes that no solution has estimated by themselves yet, first those that are solved next."""
+        if all(one.name in self._alone for one in self._kept):
+            return []
+        given = self._given
+        spread = self._spread(len(self))
+        return [KeyframeTask(one, given.rig, given.config) for one in spread if one.name not in self._alone]
+
+    def take(self, solution: Solution) -> SessionCalibration | None:
+        """Keep a solution; returns its calibration, if that predicts its frames.
+
+        One of keyframes of a base that was given up since, or of fewer than the last, is not kept.
+        """
+        if solution.base != self.base or solution.keyframes < self.solved.keyframes:
+            return None
+        known = self._alone | dict(solution.alone)
+        self._alone = {one.name: known[one.name] for one in self._kept if one.name in known}
+        self.solved = solution
+        return None if solution.reason else solution.calibration
+
+    def _spread(self, most: int) -> list[Keyframe]:
+        """Return at most some keyframes: those solved last, and each time that one which is farthest from them."""
+        before = [index for index, keyframe in enumerate(self._kept) if keyframe.name in self._asked]
         return [self._kept[index] for index in farthest_first(self._places, before, most)]
 
-    def series(self, keyframes: Sequence[Keyframe]) -> ReadingSeries:
+    def _series(self, keyframes: Sequence[Keyframe]) -> ReadingSeries:
         """Return the readings that are kept, with the times of some keyframes."""
-        times, values = dict[str, Float64](), dict[str, Float64]()
-        for rows in filter(None, (self._readings, self._readings.ecm)):
-            for name, column in zip(rows.series.joints, rows.series.values.T, strict=True):
-                if (read := ~np.isnan(column)).any():
-                    times[name], values[name] = rows.series.times[read], column[read]
+        read = self._readings.by_joint
+        times, values = ({name: own[k] for name, own in read.items()} for k in (0, 1))
         names = {keyframe.name: keyframe.time for keyframe in keyframes}
         interval = float(np.median(self._interval)) if self._interval else 1 / 30
         return ReadingSeries("s", times, values, names, interval)

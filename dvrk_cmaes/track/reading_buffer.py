@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from itertools import pairwise
 from typing import Final
 
@@ -12,7 +14,7 @@ import numpy as np
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.quantiles import median
-from dvrk_cmaes.geometry import Bool, Float64, Indices
+from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.arguments import checked_number
 from dvrk_cmaes.joints.interpolation import Sparseness, TimedReadings, Times, known_where, weighted_mean
@@ -51,87 +53,19 @@ class ReadingAt:
         """Whether all outer joints have a reading."""
         return not np.isnan(self.outer).any()
 
+    def by_name(self, joint_names: Sequence[str]) -> dict[str, float]:
+        """Return the readings that are there by name; ``joint_names`` are those of the instrument."""
+        names = (*OUTER_JOINTS, *joint_names, *ECM_JOINTS)
+        values = np.concatenate([self.outer, self.joints, [] if self.ecm is None else self.ecm]).tolist()
+        return {name: value for name, value in zip(names, values, strict=False) if not math.isnan(value)}
+
     @property
     def rates(self) -> Float64:
         """Rates of the outer and the instrument's joints (4 + J,), per s; 0 where unknown."""
         return np.asarray(np.nan_to_num(np.concatenate([self.outer_rate, self.joint_rate])))
 
 
-class ReadingRows:
-    """Readings of joints in the order of their times, in arrays that grow as needed.
-
-    Parameters
-    ----------
-    joint_names
-        Names of the instrument's J joints.
-    outer
-        Names of the outer joints.
-
-    ``ecm`` are the readings of the endoscope's arm, once there are some.
-    """
-
-    def __init__(self, joint_names: Sequence[str], outer: tuple[str, ...] = OUTER_JOINTS) -> None:
-        self._names = (*outer, *joint_names)
-        self.ecm: ReadingRows | None = None
-        self._count = 0
-        self._complete = True  # whether every row has all joints
-        self._times = np.empty(_BLOCK)
-        self._rows = np.empty((_BLOCK, len(self._names)))
-
-    @property
-    def series(self) -> TimedReadings:
-        """The readings kept, s: a view, which later readings change."""
-        return TimedReadings(self._names, self._times[: self._count], self._rows[: self._count])
-
-    def add(self, time: float, joints: Mapping[str, float]) -> None:
-        """Add the readings of one time, s; of two of a joint at the same time, the last is used.
-
-        Arm and jaw, on topics of their own, may have the same times.
-
-        Raises
-        ------
-        InputError
-            The time or a reading is not finite, a reading is in another unit, or a joint is unknown.
-        """
-        if not math.isfinite(checked_number("readings: time", time, "a finite number of seconds")):
-            raise InputError(f"readings: time: expected a finite number of seconds, got {time}")
-        if self._names != ECM_JOINTS and (of_ecm := {name: joints[name] for name in ECM_JOINTS if name in joints}):
-            self.ecm = self.ecm or ReadingRows((), ECM_JOINTS)
-            self.ecm.add(time, of_ecm)
-            joints = {name: value for name, value in joints.items() if name not in of_ecm}
-            if not joints:
-                return
-        check_readings("readings", joints, self._names)
-        row = np.array([joints.get(name, np.nan) for name in self._names], dtype=np.float64)
-        at, end = int(self.series.times.searchsorted(time)), self._count
-        if end == len(self._times):
-            self._times = np.resize(self._times, 2 * end)
-            self._rows = np.resize(self._rows, (2 * end, len(self._names)))
-        if at == end or self._times[at] != time:
-            self._times[at + 1 : end + 1], self._rows[at + 1 : end + 1] = self._times[at:end], self._rows[at:end]
-            self._times[at] = time
-            self._count += 1
-        else:
-            row = np.where(np.isnan(row), self._rows[at], row)
-        self._rows[at] = row
-        self._complete &= not np.isnan(row).any()
-
-    def held_at(self, time: float) -> Float64 | None:
-        """Interpolate all joints at a time, s, beyond the readings by the nearest one; None if some were never read."""
-        known = ~np.isnan(self.series.values).any(axis=1)
-        if not known.any():
-            return None
-        times, values = self.series.times[known], self.series.values[known]
-        return np.array([np.interp(time, times, column) for column in values.T])
-
-    def keep(self, kept: Bool | slice) -> None:
-        """Drop all readings but some (N,)."""
-        times, values = self.series.times[kept], self.series.values[kept]
-        self._count = len(times)
-        self._times[: self._count], self._rows[: self._count] = times, values
-
-
-class ReadingBuffer(ReadingRows):
+class ReadingBuffer:
     """The readings of the last seconds, and those around some times, s, ``near``; they may arrive at any rate.
 
     They may come before or after the images they belong to.
@@ -151,31 +85,53 @@ class ReadingBuffer(ReadingRows):
     """
 
     def __init__(self, joint_names: Sequence[str], gap: float, still: float) -> None:
-        super().__init__(joint_names)
-        self._gap = gap
-        self._still = still
+        self._names = (*OUTER_JOINTS, *joint_names)
+        self._gap, self._still = gap, still
+        self._read: dict[str, tuple[list[float], list[float]]] = {}  # times, s, and readings by joint
         self._found: dict[float, ReadingAt] = {}  # what `at` returned at the last two times since readings came
         self._added = 0
         self.near: list[float] = []
 
+    @property
+    def by_joint(self) -> dict[str, tuple[Float64, Float64]]:
+        """Times (N,), s, increasing, and readings (N,) that are kept, by joint, also of the endoscope's arm."""
+        return {name: (np.array(times), np.array(values)) for name, (times, values) in self._read.items()}
+
     def add(self, time: float, joints: Mapping[str, float]) -> None:
-        """Add the readings of one time, and drop old ones now and then, because the others are moved."""
-        super().add(time, joints)
+        """Add the readings of one time, s; of two of a joint at the same time, the last is used.
+
+        Raises
+        ------
+        InputError
+            The time or a reading is not finite, a reading is in another unit, or a joint is unknown.
+        """
+        if not math.isfinite(checked_number("readings: time", time, "a finite number of seconds")):
+            raise InputError(f"readings: time: expected a finite number of seconds, got {time}")
+        of_ecm = joints.keys() & set(ECM_JOINTS)
+        check_readings("readings", {name: joints[name] for name in of_ecm}, ECM_JOINTS)
+        if len(of_ecm) < len(joints) or not joints:
+            check_readings("readings", {name: joints[name] for name in joints if name not in of_ecm}, self._names)
+        for name, value in joints.items():
+            times, values = self._read.setdefault(name, ([], []))
+            at = bisect_left(times, time)
+            if at < len(times) and times[at] == time:
+                values[at] = value
+            else:
+                times.insert(at, time)
+                values.insert(at, value)
         self._found.clear()
         self._added += 1
-        for rows in filter(None, (self, self.ecm)) if self._added % _BLOCK == 0 else ():
-            times = rows.series.times
-            kept = times > times.max(initial=-np.inf) - _KEPT
+        if self._added % _BLOCK == 0:
+            self._drop_old()
+
+    def _drop_old(self) -> None:
+        """Drop readings that are neither of the last seconds nor near one of the times."""
+        newest = max(times[-1] for times, _ in self._read.values())
+        for name, (times, values) in self.by_joint.items():
+            kept = times > newest - _KEPT
             for one in self.near:
                 kept |= np.abs(times - one) < _AROUND
-            rows.keep(kept)
-
-    @property
-    def _recent(self) -> TimedReadings:
-        """The readings of the last seconds."""
-        series = self.series
-        first = int(series.times.searchsorted(series.times.max(initial=-np.inf) - _KEPT))
-        return TimedReadings(series.joints, series.times[first:], series.values[first:])
+            self._read[name] = times[kept].tolist(), values[kept].tolist()
 
     def at(self, time: float) -> ReadingAt:
         """Interpolate the readings linearly at a time, s; beyond them they are extrapolated by at most the gap."""
@@ -188,41 +144,49 @@ class ReadingBuffer(ReadingRows):
     def _interpolated(self, time: float) -> ReadingAt:
         outer = len(OUTER_JOINTS)
         row, rate = np.full(len(self._names), np.nan), np.zeros(len(self._names))
-        for columns, series in self._read_together():
+        recent = self._recent()
+        for series in _read_together({name: recent[name] for name in self._names if name in recent}):
+            columns = [self._names.index(name) for name in series.joints]
             spacing = _usual_spacing(series.times)
             rate[columns] = of_series = _rate(series, time, max(_RATE_HALF_WIDTH, _RATE_SPACINGS * spacing))
             gap = max(self._gap, _GAP_SPACINGS * spacing)
             gaps = known_where(apart=gap, beyond=gap)
             row[columns] = series.at(np.array([time]), gaps, weighted_mean, of_series)[0]
-        of_outer = self._of_outer()
-        seconds = max(self._still, _STILL_SPACINGS * _usual_spacing(of_outer.times))
-        still = _is_still(of_outer, time, seconds)
-        known = not np.isnan(row[:outer]).any()
-        sparse = Sparseness.of(np.asarray(of_outer.times), of_outer.values, time) if known else None
-        ecm = None if self.ecm is None else self.ecm.held_at(time)
+        still, sparse = False, None
+        if recent.keys() >= set(OUTER_JOINTS):
+            of_outer = _at_common_times([recent[name] for name in OUTER_JOINTS])
+            seconds = max(self._still, _STILL_SPACINGS * _usual_spacing(of_outer.times))
+            still = _is_still(of_outer, time, seconds)
+            known = not np.isnan(row[:outer]).any()
+            sparse = Sparseness.of(np.asarray(of_outer.times), of_outer.values, time) if known else None
+        ecm = None
+        if self._read.keys() >= set(ECM_JOINTS):
+            ecm = np.array([np.interp(time, *self._read[name]) for name in ECM_JOINTS])
         return ReadingAt(row[:outer], row[outer:], rate[:outer], rate[outer:], still, sparse, ecm)
 
-    def _read_together(self) -> Iterator[tuple[Indices, TimedReadings]]:
-        """Give the columns of joints that are read at the same times, and their readings, without missing ones."""
-        series = self._recent
-        if self._complete:
-            yield np.arange(len(self._names)), series
-            return
-        read = ~np.isnan(series.values)
-        patterns, pattern_of = np.unique(read, axis=1, return_inverse=True)
-        for number, rows in enumerate(patterns.T):
-            columns = np.flatnonzero(pattern_of.ravel() == number)
-            names = tuple(self._names[column] for column in columns)
-            yield columns, TimedReadings(names, series.times[rows], series.values[rows][:, columns])
+    def _recent(self) -> dict[str, tuple[Float64, Float64]]:
+        """Return times and readings of the last seconds by joint, of those that have any."""
+        read = {name: self._read[name] for name in self._names if name in self._read}
+        since = max((times[-1] for times, _ in read.values() if times), default=0.0) - _KEPT
+        first = {name: bisect_left(times, since) for name, (times, _) in read.items()}
+        return {name: (np.array(t[first[name] :]), np.array(v[first[name] :])) for name, (t, v) in read.items()}
 
-    def _of_outer(self) -> TimedReadings:
-        """Return the readings of the outer joints, of the times that have all of them."""
-        series, outer = self._recent, len(OUTER_JOINTS)
-        values = series.values[:, :outer]
-        if self._complete:
-            return TimedReadings(OUTER_JOINTS, series.times, values)
-        read = ~np.isnan(values).any(axis=1)
-        return TimedReadings(OUTER_JOINTS, series.times[read], values[read])
+
+def _read_together(recent: Mapping[str, tuple[Float64, Float64]]) -> Iterator[TimedReadings]:
+    """Yield the readings of joints, each with those that are read at the same times."""
+    groups: dict[bytes, list[str]] = {}
+    for name, (times, _) in recent.items():
+        groups.setdefault(times.tobytes(), []).append(name)
+    for names in groups.values():
+        yield TimedReadings(tuple(names), recent[names[0]][0], np.column_stack([recent[name][1] for name in names]))
+
+
+def _at_common_times(read: Sequence[tuple[Float64, Float64]]) -> TimedReadings:
+    """Return the readings of the outer joints at the times at which all of them were read."""
+    times = read[0][0]
+    if any(not np.array_equal(own, times) for own, _ in read[1:]):
+        times = reduce(np.intersect1d, [own for own, _ in read])
+    return TimedReadings(OUTER_JOINTS, times, np.column_stack([of[np.isin(own, times)] for own, of in read]))
 
 
 def _usual_spacing(stamps: Times) -> float:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from dvrk_cmaes.calibration.document import CALIBRATION_EXPECTED, SessionCalibration, check_made_for
-from dvrk_cmaes.calibration.prediction import FoundLag
+from dvrk_cmaes.calibration.prediction import FoundLag, lag_and_std, lag_of
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -21,20 +21,29 @@ from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm, check_arm
 from dvrk_cmaes.io.arguments import check_type, checked_number
 from dvrk_cmaes.pose.config_check import check_config
-from dvrk_cmaes.pose.doubts import readings_too_sparse, reasons
+from dvrk_cmaes.pose.doubts import (
+    NO_OUTER_READINGS,
+    base_not_known,
+    base_uncertain,
+    readings_too_sparse,
+    reasons,
+    too_few_keyframes,
+)
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.results.tracked import TrackResult, doubted
+from dvrk_cmaes.results.tracked import BaseKnown, TrackResult, doubted
 from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import prepare
-from dvrk_cmaes.track.follower import Followed
+from dvrk_cmaes.track.follower import Followed, Follower
 from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
-from dvrk_cmaes.track.known_base import CalibratedFollower
+from dvrk_cmaes.track.keyframes import RELIABLE, SOLVED_AT, Keyframes
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer
 from dvrk_cmaes.track.unknown_base import UnknownBase
 from dvrk_cmaes.track.view_segmenter import EvidenceKind, Images, Masks, Seen, ViewSegmenter
 
 _GIVEN_LAG_STD = 1e-6  # s, of a lag that is given
+_BY_THE_BASE = 1.3  # of the error of the tips that is ok: the most that a first solution may leave, before any image
+_LAG_STD = 0.055  # s, largest standard deviation of a lag that keyframes tell
 
 
 class Tracker:
@@ -109,9 +118,11 @@ class Tracker:
         self._given_lag, self._remarks = lag, rig.remarks
         self._readings = ReadingBuffer(self._names, track.reading_gap, track.still_seconds)
         self._segmenter = ViewSegmenter(rig, self._body, track, evidence, hints)
-        given = Followed(rig, self._body, used_arm, settings, self._segmenter)
-        self._known = CalibratedFollower(given, calibration, self._readings)
-        self._unknown = UnknownBase(given, background)
+        self._given = Followed(rig, self._body, used_arm, settings, self._segmenter)
+        self._keyframes = Keyframes(self._given, self._readings)
+        self._unknown = UnknownBase(self._given, background)
+        self._own = False  # whether the calibration is that of the keyframes
+        self._following = None if calibration is None else self._by(calibration)
         self._renderer = Renderer(self._body, rig.views[0].camera)
         self._time: float | None = None
         self._turn = threading.RLock()
@@ -124,10 +135,20 @@ class Tracker:
         """Restore a pickled tracker."""
         self.__dict__.update(state, _turn=threading.RLock())
 
+    def _by(self, calibration: SessionCalibration) -> Follower:
+        """Return what follows by a calibration."""
+        lag = lag_of(calibration, self._given.config.track.lag_std)
+        return Follower(self._given, calibration, lag, uncertain=self._is_of_few)
+
+    @property
+    def _is_of_few(self) -> bool:
+        """Whether the calibration is that of few keyframes."""
+        return self._own and self._keyframes.solved.keyframes < RELIABLE
+
     @property
     def lag(self) -> FoundLag | None:
         """Lag of the images behind the readings; None while it is not determined."""
-        found, given = self._known.lag, self._given_lag
+        found, given = None if self._following is None else self._following.lag, self._given_lag
         if given is None:
             return found
         return FoundLag(given, 0.0) if found is None else FoundLag(given + found.seconds, found.std)
@@ -135,7 +156,7 @@ class Tracker:
     @property
     def calibration(self) -> SessionCalibration | None:
         """The calibration by which images are followed; None while there is none."""
-        return self._known.calibration
+        return None if self._following is None else self._following.calibration
 
     @property
     def camera_from_base(self) -> Float64 | None:
@@ -174,23 +195,36 @@ class Tracker:
 
     @property
     def base_state(self) -> str:
-        """How far the arm's base is known, in words."""
-        return self._known.state
+        """How far the arm's base is known, in words: by the error of the tips that it leaves."""
+        solved, kept = self._keyframes.solved, len(self._keyframes)
+        count = f"{kept} keyframe{'' if kept == 1 else 's'}"
+        known = f"base +- {solved.tip_mm:.2g} mm" if np.isfinite(solved.tip_mm) else "base not known yet"
+        if self._following is None:
+            return f"calibrating: {count}, {known}"
+        if not self._own:
+            return f"calibration given: {count}"
+        return f"{'calibrated' if solved.keyframes >= SOLVED_AT[-1] else 'calibrating'}: {count}, {known}"
 
     @property
     def solution_due(self) -> bool:
-        """Whether solving the keyframes anew pays: at some numbers of them, and where images disagree."""
-        return self._known.due
+        """Whether solving the keyframes anew pays: at some numbers of them, and where images disagree.
+
+        A calibration that was given is not replaced as long as it holds.
+        """
+        following = self._following
+        if following is None:
+            return self._keyframes.due(disagrees=False)
+        return self._own and self._keyframes.due(disagrees=following.is_inconsistent)
 
     def problem(self) -> KeyframeProblem:
         """Return what the keyframes pose to be solved, which another process can do (`KeyframeProblem.solve`)."""
         with self._turn:
-            return self._known.problem()
+            return self._keyframes.problem()
 
     @property
     def unsolved_keyframes(self) -> list[KeyframeTask]:
         """The keyframes that no solution has estimated by themselves yet; a solver may do that before one is due."""
-        return self._known.unsolved
+        return self._keyframes.unsolved
 
     def solve(self) -> Solution:
         """Solve the keyframes together: base, lag, offsets. That takes seconds, and changes nothing until `use`."""
@@ -206,7 +240,21 @@ class Tracker:
         """
         check_type("use", solution, Solution, "what Tracker.solve returns")
         with self._turn:
-            return self._known.use(solution)
+            calibration = self._keyframes.take(solution)
+            if calibration is None or (self._following is None and not self._is_useful(solution, calibration)):
+                return False
+            self._own = True
+            self._following = self._by(calibration)
+            return True
+
+    def _is_useful(self, solution: Solution, calibration: SessionCalibration) -> bool:
+        """Whether images are to be followed by a first solution, and not any longer from image to image.
+
+        Not by one whose error is too large, nor by few keyframes that do not tell the lag: the arm may have been slow.
+        """
+        _, std = lag_and_std(calibration, self._given.config.track.lag_std)
+        known = std <= _LAG_STD or solution.keyframes >= RELIABLE
+        return known and solution.tip_mm <= self._given.config.trust.tip_mm * _BY_THE_BASE
 
     def start(self, time: float, result: Result, image: Images | None = None) -> None:
         """Start, or start again, from the result of a single frame taken at a time, s.
@@ -268,26 +316,64 @@ class Tracker:
         with self._turn:
             self._check_time(time)
             seen = self._segmenter.look(mask, image, ignore)
-            result = self._with_sparse_readings(self._followed(time, seen))
+            result = self._known(time, seen) if self._can_follow(time, seen) else self._from_image_to_image(time, seen)
             self._time = time
+            sparse = self._readings.at(time - (0.0 if self.lag is None else self.lag.seconds)).sparse
+            kept, solved, used = len(self._keyframes), self._keyframes.solved, self._following is not None
+        if sparse is not None:
+            result = doubted(result, reasons(readings_too_sparse(sparse)))
+        base = BaseKnown(kept, solved.keyframes, solved.tip_mm if np.isfinite(solved.tip_mm) else None, used)
         remarks, seconds = tuple(dict.fromkeys((*self._remarks, *result.remarks))), clock.perf_counter() - started
-        return replace(result, seconds=seconds, base=self._known.known, remarks=remarks, renderer=self._renderer)
+        return replace(result, seconds=seconds, base=base, remarks=remarks, renderer=self._renderer)
 
-    def _followed(self, time: float, seen: Seen) -> TrackResult:
-        """Follow to an image by the calibration, if there is one, and otherwise from the image before."""
-        known, unknown, readings = self._known, self._unknown, self._readings
-        if known.can_follow(time, readings, seen):
-            unknown.forget()
-            return known.follow(time, readings, seen)
-        lag = known.lag
-        result = unknown.step(time, readings.at(time - (0.0 if lag is None else lag.seconds)), seen, known.calibration)
-        known.offer(time, readings.at(time), seen, unknown.following)
-        return known.unconfirmed(result)
+    def _can_follow(self, time: float, seen: Seen) -> bool:
+        """Whether an image of a time, s, can be followed by a calibration.
 
-    def _with_sparse_readings(self, result: TrackResult) -> TrackResult:
-        """Return a result as doubtful if readings near its image are too sparse for the motion, with that reason."""
-        sparse = self._readings.at(result.time - (0.0 if self.lag is None else self.lag.seconds)).sparse
-        return result if sparse is None else doubted(result, reasons(readings_too_sparse(sparse)))
+        There must be one, the outer joints must have been read at an image or be read now, and masks must be there, or
+        colours by which they are found.
+        """
+        following = self._following
+        if following is None or not self._segmenter.is_ready(seen):
+            return False
+        return following.has_readings or self._readings.at(time - following.late).has_outer
+
+    def _known(self, time: float, seen: Seen) -> TrackResult:
+        """Follow to an image by the calibration; if too many in a row contradict it, it does not hold any more.
+
+        Fewer are enough, soon after it was found, for one of few keyframes.
+        """
+        following, keyframes, most = self._following, self._keyframes, self._given.config.trust.tip_mm
+        assert following is not None
+        self._unknown.forget()
+        reading = self._readings.at(time - following.late)
+        result = following.follow(time, reading, seen, shows_well=keyframes.shows_well)
+        if following.contradicted or (self._is_of_few and following.fails_early):
+            keyframes.give_up(few=self._is_of_few)
+            self._following, self._own = None, False
+            return replace(result, status="doubtful" if result.status == "ok" else result.status)
+        keyframes.offer(time, self._readings.at(time), seen, following)
+        solved = keyframes.solved
+        if result.status == "ok" and self._own:
+            result = doubted(result, reasons(too_few_keyframes(solved.tip_mm, solved.keyframes)))
+        if result.status == "doubtful" and self._own:
+            uncertain = base_uncertain(solved.tip_mm, solved.keyframes, result.tip_std_mm, most)
+            result = doubted(result, reasons(uncertain))
+        return result
+
+    def _from_image_to_image(self, time: float, seen: Seen) -> TrackResult:
+        """Follow to an image without a calibration; no pose is ok, whether readings tell the base or not."""
+        following, solved = self._following, self._keyframes.solved
+        late = 0.0 if following is None else following.late
+        result = self._unknown.step(time, self._readings.at(time - late), seen, self.calibration)
+        self._keyframes.offer(time, self._readings.at(time), seen, self._unknown.following)
+        if result.status == "lost":
+            return result
+        if following is not None:
+            return doubted(result, [NO_OUTER_READINGS])
+        tips = "" if result.tip_std_mm is None else f", tips to {result.tip_std_mm:.1f} mm if this one is right"
+        far = base_uncertain(solved.tip_mm, solved.keyframes, np.inf, 0.0) if np.isfinite(solved.tip_mm) else None
+        why = solved.reason or far
+        return doubted(result, [base_not_known(len(self._keyframes), f"{tips} ({why})" if why else tips)])
 
     def _check_time(self, time: float) -> None:
         checked_number("time", time, "a finite number of seconds")

@@ -7,7 +7,6 @@ images tells the base.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from copy import deepcopy
@@ -25,7 +24,14 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.pose.doubts import NOT_FOUND, search_running
+from dvrk_cmaes.pose.doubts import (
+    NOT_FOUND,
+    mask_cut_straight,
+    overlap_too_low,
+    reasons,
+    search_running,
+    wrist_or_jaws_off,
+)
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackResult, without_pose
@@ -217,8 +223,8 @@ class UnknownBase:
                 self._begin_search(image, calibration, first=False)
         if reads:
             return result
-        read = dict(zip(names, reading.joints.tolist(), strict=True))
-        offsets = {name: result.joints[name] - value for name, value in read.items() if not math.isnan(value)}
+        read = reading.by_name(names)
+        offsets = {name: result.joints[name] - read[name] for name in names if name in read}
         return replace(result, camera_from_base=None, offsets=offsets)
 
 
@@ -242,9 +248,7 @@ def _solved(
     first: bool,
 ) -> Result | None:
     """Solve an image by itself; None if nothing is found in it, or its masks are nothing but instrument."""
-    outer = zip(OUTER_JOINTS, image.reading.outer.tolist(), strict=True)
-    joints = zip(given.instrument.joint_names, image.reading.joints.tolist(), strict=True)
-    readings = {name: value for name, value in (*outer, *joints) if not math.isnan(value)}
+    readings = replace(image.reading, ecm=None).by_name(given.instrument.joint_names)
     masks: Mapping[str, Mask] = given.segmenter.first_masks(image.seen, hinted=first)
     if not masks:
         return None
@@ -260,11 +264,10 @@ def _solved(
 def _explains(result: Result, trust: TrustConfig, pixel_scale: float) -> bool:
     """Whether the pose of a single frame explains its mask, whatever the readings say."""
     quality = result.quality
-    return (
-        quality is not None
-        and quality.iou >= trust.least_iou
-        and quality.distal_px <= trust.largest_distal_px * pixel_scale
-        and quality.bend_px <= trust.largest_bend_px * pixel_scale
+    return quality is not None and not reasons(
+        overlap_too_low(quality, trust.least_iou),
+        wrist_or_jaws_off(quality, trust.largest_distal_px * pixel_scale),
+        mask_cut_straight(quality, trust.largest_bend_px * pixel_scale),
     )
 
 

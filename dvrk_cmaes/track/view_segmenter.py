@@ -14,18 +14,15 @@ from dvrk_cmaes.camera import Camera, Rig, View
 from dvrk_cmaes.config import TrackConfig
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.frames.field_of_view import outside_view
+from dvrk_cmaes.frames.seen_view import SeenView, seen_by
 from dvrk_cmaes.geometry import Bool, Image, Posed
 from dvrk_cmaes.io.arguments import check_type, checked_mask
-from dvrk_cmaes.pose.doubts import UNSUPPORTED, image_black, image_frozen, mask_says_nothing
-from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.pose.doubts import image_black, image_frozen, mask_says_nothing
 from dvrk_cmaes.pose.views import silhouette_of
 from dvrk_cmaes.segment import segment
 from dvrk_cmaes.segment.segmentation import GUESS, Hints
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.colour_edges import EdgeAppearance, EdgeFit, ImageEvidence, fit_edges, learned
-from dvrk_cmaes.track.histogram_ratio import ColourModel
-from dvrk_cmaes.track.image_masks import SPREAD_OF_FIT, learned_colours, mask_around
-from dvrk_cmaes.track.outlines import OutlineModel
+from dvrk_cmaes.track.image_masks import ColourModel, learned_colours
 
 Mask = Bool
 
@@ -94,62 +91,8 @@ class Seen:
         return Seen(tuple(replace(view, problem=view.problem or problem) for view, problem in pairs))
 
 
-class ImageCheck:
-    """Checks the images of one camera; ``black_level`` is the brightest pixel below which an image counts as black."""
-
-    def __init__(self, camera: Camera, black_level: int) -> None:
-        self._size = (camera.height, camera.width)
-        self._black_level = black_level
-        self._last: int | None = None  # checksum of the latest mask or image; None without one
-
-    def look(self, kind: EvidenceKind | None, mask: Mask | None, image: Image | None, ignore: Mask | None) -> SeenImage:
-        """Check the arrays of one view, and choose those that are used."""
-        mask = None if mask is None else checked_mask("mask", mask)
-        ignore = None if ignore is None else checked_mask("ignore", ignore)
-        for name, array in (("mask", mask), ("ignore", ignore), ("image", image)):
-            self._check_size(name, array)
-        used_mask = None if kind == "images" else mask
-        used_image = None if kind == "masks" or (image is not None and image.ndim == 2) else image
-        by_image = used_mask is None and used_image is not None
-        before, self._last = self._last, None
-        if used_mask is not None:
-            self._last = crc32(np.packbits(used_mask).tobytes())
-        elif used_image is not None:
-            self._last = crc32(used_image[::4].tobytes())
-        same = self._last is not None and self._last == before
-        problem = self._problem(used_mask, image, ignore, by_image=by_image)
-        return SeenImage(used_mask, used_image, ignore, problem, same, mask)
-
-    def _check_size(self, name: str, array: Bool | NDArray[np.uint8] | None) -> None:
-        """Raise an InputError for an array that is not of the camera's size, or for an image that is not (H, W, 3)."""
-        if array is None:
-            return
-        if name == "image" and (
-            array.dtype != np.uint8 or array.ndim not in (2, 3) or array.shape[2:] not in ((), (3,))
-        ):
-            raise InputError(f"image: expected (H, W, 3) uint8, BGR, got {array.dtype} of shape {array.shape}")
-        if array.shape[:2] != self._size:
-            raise InputError(
-                f"{name}: expected {self._size[1]} x {self._size[0]} pixels as the camera has, got an array of shape "
-                f"{array.shape}"
-            )
-
-    def _problem(
-        self, mask: Mask | None, image: NDArray[np.uint8] | None, ignore: Mask | None, *, by_image: bool
-    ) -> str | None:
-        """Return why an image says nothing about the pose; None if it may. ``by_image``: its colours are used."""
-        brightest = self._black_level if image is None else int(image.max())
-        black = image_black(brightest, self._black_level)
-        if black is not None or by_image:
-            return black
-        if mask is None:
-            return mask_says_nothing(given=False, shown=False, surrounded=False)
-        counts = np.ones_like(mask) if ignore is None else ~ignore
-        return mask_says_nothing(given=True, shown=bool((mask & counts).any()), surrounded=bool((~mask & counts).any()))
-
-
-_Look = tuple[ColourModel, EdgeAppearance]
-"""How the instrument and its surroundings look in a view: colours on the whole, and along the outline."""
+_Look = tuple[ColourModel, Bool]
+"""The colours of the instrument and its surroundings in a view, and the pixels (H, W) outside the field of view."""
 
 
 class ViewSegmenter:
@@ -169,10 +112,10 @@ class ViewSegmenter:
     ) -> None:
         if kind is not None and kind not in KINDS:
             raise InputError(f"evidence: expected one of {', '.join(nearest_first(str(kind), KINDS))}, got {kind!r}")
-        self._names, self._body = rig.names, body
-        self._checks = [ImageCheck(view.camera, config.black_level) for view in rig.views]
+        self._rig, self._names, self._body = rig, rig.names, body
+        self._last: list[int | None] = [None] * len(rig.views)  # checksums of the latest masks or images, None without
         self._looks: list[_Look | None] = [None] * len(rig.views)
-        self._outlines = OutlineModel(body, rig, config.points)
+        self._black_level = config.black_level  # value of the brightest pixel, below which an image counts as black
         self._colour_share = config.colour_share
         self._kind = kind
         self._hints = hints or Hints()
@@ -181,8 +124,31 @@ class ViewSegmenter:
         """Check the arrays of all views, and choose those that are used; InputError for wrong sizes, names, numbers."""
         arguments = (("mask", mask), ("image", image), ("ignore", ignore))
         arrays = zip(*(self._by_view(name, value) for name, value in arguments), strict=True)
-        views = (check.look(self._kind, *of_view) for check, of_view in zip(self._checks, arrays, strict=True))
-        return Seen(tuple(views))
+        return Seen(tuple(self._looked(number, *of_view) for number, of_view in enumerate(arrays)))
+
+    def _looked(self, number: int, mask: Mask | None, image: Image | None, ignore: Mask | None) -> SeenImage:
+        """Check the arrays of one view, and choose those that are used."""
+        mask = None if mask is None else checked_mask("mask", mask)
+        ignore = None if ignore is None else checked_mask("ignore", ignore)
+        for name, array in (("mask", mask), ("ignore", ignore), ("image", image)):
+            if array is not None:
+                _check_size(name, array, self._rig.views[number].camera)
+        used_mask = None if self._kind == "images" else mask
+        used_image = None if self._kind == "masks" or (image is not None and image.ndim == 2) else image
+        before, now = self._last[number], None
+        if used_mask is not None:
+            now = crc32(np.packbits(used_mask).tobytes())
+        elif used_image is not None:
+            now = crc32(used_image[::4].tobytes())
+        self._last[number] = now
+        problem = image_black(self._black_level if image is None else int(image.max()), self._black_level)
+        if problem is None and used_mask is not None:
+            counts = np.ones_like(used_mask) if ignore is None else ~ignore
+            shown, surrounded = bool((used_mask & counts).any()), bool((~used_mask & counts).any())
+            problem = mask_says_nothing(given=True, shown=shown, surrounded=surrounded)
+        elif problem is None and used_image is None:
+            problem = mask_says_nothing(given=False, shown=False, surrounded=False)
+        return SeenImage(used_mask, used_image, ignore, problem, now is not None and now == before, mask)
 
     def _by_view(self, name: str, value: Masks | Images | None) -> list[Any]:
         """Return an argument's arrays in the order of the views."""
@@ -210,41 +176,21 @@ class ViewSegmenter:
         """Return the masks of the clear views by name, of those that are given and used."""
         return {self._names[number]: view.mask for number, view in seen.clear if view.mask is not None}
 
-    def fit(self, seen: Seen, start: Posed, expected: Expected, *, near: bool) -> EdgeFit | None:
-        """Fit a pose to the edges of the clear images, whose colours are known; None without any.
+    @property
+    def colours(self) -> dict[str, ColourModel]:
+        """The colours that were learned, by view."""
+        return {name: look[0] for name, look in zip(self._names, self._looks, strict=True) if look is not None}
 
-        Where the start is not as ``near`` as an image before tells, or the edges there do not support the pose, they
-        are looked for farther away.
-        """
-        images = {
-            number: ImageEvidence(view.image, look[1], view.ignore)
-            for number, view in seen.clear
-            if view.image is not None and (look := self._looks[number]) is not None
-        }
-        if not images:
-            return None
-        found = fit_edges(self._outlines, images, start, expected, far=not near)
-        if near and (found is None or found.doubts):
-            far = fit_edges(self._outlines, images, start, expected, far=True)
-            if far is not None and (found is None or far.net_support > found.net_support):
-                return far
-        return found
-
-    def masks_at(self, seen: Seen, views: Sequence[View], at: Posed) -> dict[str, Mask]:
-        """Find masks in the clear images about a pose that they support; those of views that show it without doubt."""
-        masks = {}
-        for number, view in seen.clear:
-            look = self._looks[number]
-            if view.image is None or look is None:
-                continue
-            outside = outside_view(view.image)
-            if view.ignore is not None:
-                outside = outside | view.ignore
-            silhouette = silhouette_of(at, views[number], self._body)
-            found = mask_around(view.image, silhouette, look[0], outside, SPREAD_OF_FIT, passes=1)
-            if found is not None and found.unsupported <= UNSUPPORTED:
-                masks[self._names[number]] = found.mask
-        return masks
+    def views(self, seen: Seen) -> tuple[SeenView, ...]:
+        """Return the views as they were seen: with the mask that is given, or the image in which one can be found."""
+        views = []
+        clear = dict(seen.clear)
+        for number, (view, own) in enumerate(zip(self._rig.views, seen.views, strict=True)):
+            look, used = self._looks[number], clear.get(number)
+            mask, image = (None, None) if used is None else (used.mask, used.image)
+            shown = seen_by(view, mask, ignore=own.ignore, image=image if mask is None and look is not None else None)
+            views.append(shown if look is None or shown.image is None else shown.without(look[1]))
+        return tuple(views)
 
     def first_masks(self, seen: Seen, *, hinted: bool) -> dict[str, Mask]:
         """Return the masks by name of the view: those given, or that of the first image in which one is found.
@@ -272,11 +218,19 @@ class ViewSegmenter:
         for number, view in seen.clear:
             if view.image is None:
                 continue
-            drawn, before = self._outlines.draw(at, number), self._looks[number]
             colours = learned_colours(view.image, silhouette_of(at, views[number], self._body), view.ignore)
-            if drawn is None or colours is None:
-                continue
-            along, share = learned(view.image, drawn.pixels, drawn, view.ignore), self._colour_share
-            if before is not None:
-                colours, along = before[0].mixed(colours, share), before[1].mixed(along, share)
-            self._looks[number] = colours, along
+            if colours is not None:
+                before = self._looks[number]
+                colours = colours if before is None else before[0].mixed(colours, self._colour_share)
+                self._looks[number] = colours, outside_view(view.image)
+
+
+def _check_size(name: str, array: NDArray[Any], camera: Camera) -> None:
+    """Raise an InputError for an array that is not of the camera's size, or for an image that is not (H, W, 3)."""
+    if name == "image" and (array.dtype != np.uint8 or array.ndim not in (2, 3) or array.shape[2:] not in ((), (3,))):
+        raise InputError(f"image: expected (H, W, 3) uint8, BGR, got {array.dtype} of shape {array.shape}")
+    if array.shape[:2] != (camera.height, camera.width):
+        raise InputError(
+            f"{name}: expected {camera.width} x {camera.height} pixels as the camera has, got an array of shape "
+            f"{array.shape}"
+        )

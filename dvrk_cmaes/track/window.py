@@ -41,7 +41,6 @@ from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import ExpectedError
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.colour_edges import EdgeFit
 
 Found = tuple[Posed, Float64, Float64]
 """Pose and joints, their covariance (D, D) given the camera, and that by the camera's errors."""
@@ -152,7 +151,7 @@ class FitEvidence:
     @classmethod
     def of(
         cls,
-        fit: FrameFit | EdgeFit | None,
+        fit: FrameFit | None,
         predicted: Posed,
         spread: Float64,
         *,

@@ -245,8 +245,8 @@ def test_first_image_without_instrument_has_no_pose(world: MovingWorld) -> None:
 
 def test_settings_are_checked(world: MovingWorld) -> None:
     config = EstimateConfig()
-    with pytest.raises(InputError, match=r"track\.points"):
-        Tracker(world.camera, world.body, config=replace(config, track=replace(config.track, points=-1)))
+    with pytest.raises(InputError, match=r"track\.lag_std"):
+        Tracker(world.camera, world.body, config=replace(config, track=replace(config.track, lag_std=-1)))
 
 
 # searches in the background
