@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, ExitStack, closing
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from functools import partial
 from threading import Event
@@ -72,23 +72,6 @@ class LiveSetup:
     origin: int = 0
     start_process: Start | None = None
 
-    def arm(self, own: ArmSetup, inputs: Inputs, connection: Connection, report: Report, stack: ExitStack) -> LiveArm:
-        """Return an arm that publishes on a connection."""
-        followed: FollowedArm | ArmProcess
-        if self.start_process is None or len(self.arms) == 1:
-            followed = stack.enter_context(FollowedArm(own, report))
-        else:
-            followed = stack.enter_context(closing(ArmProcess(self.start_process, partial(FollowedArm, own), report)))
-        return LiveArm(
-            own.names.arm,
-            followed.begin,
-            Outputs(connection, own.names, own.body.instrument.root_link),
-            report,
-            inputs.now,
-            draw=partial(LiveOverlay, own.body) if self.overlay else None,
-            origin=self.origin,
-        )
-
     def loop(
         self,
         inputs: Inputs,
@@ -99,7 +82,15 @@ class LiveSetup:
     ) -> LiveLoop:
         """Subscribe to the topics, and return the loop; what it uses is closed with the stack."""
         inputs.subscribe(connection)
-        arms = [self.arm(own, inputs, connection, report, stack) for own in self.arms]
+        arms, apart = [], self.start_process if len(self.arms) > 1 else None
+        for own in self.arms:
+            here = partial(FollowedArm, own)
+            followed = here(report) if apart is None else ArmProcess(apart, here, report)
+            stack.callback(followed.close)
+            outputs = Outputs(connection, own.names, own.body.instrument.root_link)
+            draw = partial(LiveOverlay, own.body) if self.overlay else None
+            name, now = own.names.arm, inputs.now
+            arms.append(LiveArm(name, followed.begin, outputs, report, now, draw=draw, origin=self.origin))
         return LiveLoop(arms, inputs, report, rig=self.rig, show=show)
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import base64
 import time as clock
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import cv2
@@ -19,7 +20,6 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.draw.canvas import Canvas
-from dvrk_cmaes.draw.panels import SILHOUETTE
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.ros_messages import (
     POSE_WITH_COVARIANCE,
@@ -39,19 +39,13 @@ class LiveOverlay:
     """Draws results over images of the first camera of a rig."""
 
     def __init__(self, body: Body, rig: Rig) -> None:
-        self._names = body.instrument.joint_names
         self._renderer = Renderer(body, rig.camera, threads=1)
 
     def __call__(self, image: NDArray[np.uint8], result: TrackResult, state: str) -> NDArray[np.uint8]:
         """Return a copy of an image (H, W, 3), BGR, with the outline of a result's silhouette, status and ``state``."""
-        canvas = Canvas(image.copy(), 1.0)
-        if result.camera_from_root is not None:
-            joints = np.array([result.joints[name] for name in self._names])
-            canvas.outline(self._renderer.masks(result.camera_from_root[None], joints[None])[0], SILHOUETTE)
-        text = ": ".join([result.status, *result.reasons[:1]])
-        canvas.text(text, (8.0, 14.0), rim=True)
-        if state:
-            canvas.text(state, (8.0, 30.0), rim=True)
+        canvas = Canvas(replace(result, renderer=self._renderer).overlay(image), 1.0)
+        for line, text in enumerate((": ".join([result.status, *result.reasons[:1]]), state)):
+            canvas.text(text, (8.0, 14.0 + 16.0 * line), rim=True)
         return canvas.image
 
 

@@ -108,13 +108,14 @@ def fit_seen(
     fitted: MaskedFit | None = None
     last = list[Bool]()
     running = lengths is not None
-    for k in range(1 if running and before is not None else _ROUNDS):
+    near = running and before is not None
+    for k in range(1 if near else _ROUNDS):
         masked, unsupported = tuple(seen), 0.0
         if colours is not None:
             drawn = [silhouette_of(at, view, body) for view in seen]
             if k and min(overlap_of(*pair) for pair in zip(last, drawn, strict=True)) > _SAME:
                 break
-            spread, last = SPREAD_OF_FIT if k else _spread(expected, seen[0].camera), drawn
+            spread, last = SPREAD_OF_FIT if k or near else _spread(expected, seen[0].camera), drawn
             masked, unsupported = _masked(seen, drawn, colours, spread, running=running)
         views = views_that_show(masked, body)
         if not views:
@@ -174,7 +175,7 @@ def fit_near(
     return fit_frame(views, config, expected, starts, margin=margin, lengths=of_views, preset=preset)
 
 
-_LONGEST = 320  # px, longer side of the images in which masks are found while they come
+_LONGEST = 640  # px, longer side of the images in which masks are found while they come
 _ROUNDS = 3  # of masks and fits of a frame, at most
 _SAME = 0.97  # intersection over union of the silhouettes of two rounds, from which on the mask is not found again
 _LARGEST_SPREAD = 12.0  # px, of an outline that is expected
@@ -225,13 +226,19 @@ def fit_block(
     instrument where it is expected.
     """
     found: list[FittedFrame | None] = []
-    deviation: Float64 | None = None
+    before: Float64 | None = None
     for frame in frames:
-        fitted = _fit_one(body, config, frame, deviation, masks, colours)
-        found.append(fitted)
-        deviation = None
-        if fitted is not None and fitted.fit.explains_mask and not fitted.doubts:
-            deviation = fitted.fit.at.minus(frame.expected.mean)
+        started, data, fitted = time.perf_counter(), frame.read(), None
+        if data is not None:
+            data = data if colours is None else with_outside(data)
+            fitted = fit_seen(data.views, body, config, frame.expected, before, masks, colours)
+        if data is None or fitted is None:
+            found.append(None)
+            before = None
+            continue
+        stored = StoredFrame.of_views(fitted.views, data.camera, fitted.own)
+        found.append(FittedFrame(stored, fitted.fit, time.perf_counter() - started, tuple(fitted.doubts)))
+        before = fitted.fit.at.minus(frame.expected.mean) if fitted.holds else None
     return found
 
 
@@ -250,27 +257,6 @@ def around_task(
     views, unsupported = _masked(data.views, drawn, colours, _spread(expected, data.camera))
     shown = any(view.given and view.shows for view in views)
     return replace(data, views=views) if shown and unsupported < UNSUPPORTED else None
-
-
-def _fit_one(
-    body: Body,
-    config: EstimateConfig,
-    frame: PredictedFrame,
-    before: Float64 | None,
-    masks: SessionMasks | None,
-    colours: Mapping[str, ColourModel] | None,
-) -> FittedFrame | None:
-    """Read a frame and fit it as `fit_seen`; None if its masks show nothing."""
-    started, data = time.perf_counter(), frame.read()
-    if data is None:
-        return None
-    if colours is not None:
-        data = with_outside(data)
-    fitted = fit_seen(data.views, body, config, frame.expected, before, masks, colours)
-    if fitted is None:
-        return None
-    stored = StoredFrame.of_views(fitted.views, data.camera, fitted.own)
-    return FittedFrame(stored, fitted.fit, time.perf_counter() - started, tuple(fitted.doubts))
 
 
 def _masked(

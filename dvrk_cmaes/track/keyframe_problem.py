@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.calibrate import calibrate_session
 from dvrk_cmaes.calibration.document import SessionCalibration
@@ -18,13 +17,12 @@ from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.model import ecm_readings
 from dvrk_cmaes.calibration.prediction import Prediction, endoscope_in, lag_and_std
 from dvrk_cmaes.calibration.session_doubts import bad_predictions
-from dvrk_cmaes.camera import Camera, Rig
+from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.frames.seen_view import seen_views
-from dvrk_cmaes.geometry import Bool
+from dvrk_cmaes.frames.seen_view import PackedMask, seen_views
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.joints.series import ReadingSeries
@@ -43,14 +41,14 @@ def solved_with(config: EstimateConfig) -> EstimateConfig:
 
 @dataclass(frozen=True, eq=False)
 class Keyframe:
-    """An image that is kept: its time, s, masks and ignored pixels (H, W) by view as packed bits, and readings.
+    """An image that is kept: its time, s, packed masks and ignored pixels (H, W) by view, and readings.
 
     ``rates`` are those of the readings, per s.
     """
 
     time: float
-    masks: Mapping[str, NDArray[np.uint8]]
-    ignored: Mapping[str, NDArray[np.uint8]]
+    masks: Mapping[str, PackedMask]
+    ignored: Mapping[str, PackedMask]
     readings: Mapping[str, float]
     rates: Mapping[str, float]
 
@@ -67,11 +65,8 @@ class Keyframe:
         rig
             The rig whose views the keyframe has.
         """
-
-        def arrays(packed: Mapping[str, NDArray[np.uint8]]) -> dict[str, Bool]:
-            return {name: _unpacked(bits, rig.view(name).camera) for name, bits in packed.items()}
-
-        return FrameData(seen_views(arrays(self.masks), rig, arrays(self.ignored) or None))
+        masks, ignored = ({name: one.restored() for name, one in own.items()} for own in (self.masks, self.ignored))
+        return FrameData(seen_views(masks, rig, ignored or None))
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,12 +182,6 @@ class KeyframeProblem:
         covariance = known.shared + late.prior - known.prior
         errors = [expected_error(instrument, known.at[k], own).of_tips_mm for k, own in enumerate(covariance)]
         return float(np.median(errors))
-
-
-def _unpacked(bits: NDArray[np.uint8], camera: Camera) -> Bool:
-    """Return a mask (H, W) of packed bits."""
-    flat = np.unpackbits(bits, count=camera.height * camera.width)
-    return flat.reshape(camera.height, camera.width).astype(np.bool_)
 
 
 _FEW: Final = 20

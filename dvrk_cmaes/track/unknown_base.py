@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -86,58 +86,31 @@ class _Image:
 
 
 @dataclass(eq=False)
-class _Search:
-    """The search of an image, its result once it is there, and that image with all that have come since.
-
-    ``first`` is whether nothing was followed before.
-    """
-
-    found: Future[Result | None]
-    images: list[_Image]
-    first: bool
-
-
-@dataclass(eq=False)
-class _Pose:
-    """A pose that is followed: where it was at a time, s, with its covariance (D, D), and what follows it.
-
-    ``reads`` is whether readings of a moving arm have stated how it moves since its base was made.
-    """
-
-    time: float
-    at: Posed
-    covariance: Float64
-    following: Follower | None = None
-    reads: bool = False
-
-
-@dataclass(eq=False)
 class UnknownBase:
     """Searches for an instrument, and follows it while no calibration is known.
 
-    ``background`` is whether a search is done in a thread while the steps after its image go on.
+    ``background`` is whether a search is done in a thread while the steps after its image go on. ``following`` is what
+    follows the pose, at the last image.
     """
 
     given: Followed
     background: bool
-    _pose: _Pose | None = None
-    _search: _Search | None = None
+    following: Follower | None = None
+    _last: tuple[float, Posed, Float64] | None = None  # time, s, pose and covariance (D, D) of what is followed
+    _reads: bool = False  # whether readings of a moving arm have stated how it moves since its base was made
+    _found: Future[Result | None] | None = None  # the result of the search of an image, ...
+    _images: list[_Image] = field(default_factory=list)  # ... and that image with all that have come since
     _unsupported: int = 0
     _wait: int = _FIRST_WAIT
 
     @property
     def searching(self) -> bool:
         """Whether an image is being searched."""
-        return self._search is not None
-
-    @property
-    def following(self) -> Follower | None:
-        """What follows the pose, at the last image; None without one."""
-        return None if self._pose is None else self._pose.following
+        return self._found is not None
 
     def forget(self) -> None:
         """Forget what was followed; the next image is searched."""
-        self._pose, self._search = None, None
+        self.following, self._last, self._found = None, None, None
 
     def start(self, time: float, result: Result, seen: Seen | None = None, *, widened: float = 1.0) -> None:
         """Follow the pose of a single frame's result from its time, s, on; colours are learned where it is seen.
@@ -146,10 +119,11 @@ class UnknownBase:
         """
         assert result.covariance is not None
         self.forget()
-        self._pose = _Pose(time, posed(result, self.given.instrument.joint_names), widened**2 * result.covariance)
+        at = posed(result, self.given.instrument.joint_names)
+        self._last = time, at, widened**2 * result.covariance
         self._unsupported, self._wait = 0, _FIRST_WAIT
         if seen is not None:
-            self.given.segmenter.learn(seen, self.given.rig.views, self._pose.at)
+            self.given.segmenter.learn(seen, self.given.rig.views, at)
 
     def step(
         self, time: float, reading: ReadingAt, seen: Seen, calibration: SessionCalibration | None = None
@@ -159,68 +133,69 @@ class UnknownBase:
         A ``calibration`` that cannot be used for want of colours tells where a searched image has the instrument.
         """
         image = _Image(time, reading, seen)
-        if self._pose is None and self._search is None:
+        if self._last is None and self._found is None:
             if seen.problem is not None:
                 return without_pose(time, seen.problem)
-            self._begin_search(image, calibration, first=True)
-        search, images = self._search, [image]
-        if search is not None:
-            images = self._go_on(search, image)
+            self._begin_search(image, calibration)
+        searched, images = self.searching, self._after_search(image)
         results = [self._follow(each, calibration) for each in images]
         if not results:
-            found = NOT_FOUND if self._search is None else search_running(self._search.images[0].time)
+            found = search_running(self._images[0].time) if self.searching else NOT_FOUND
             return without_pose(time, found, searched=True)
-        return replace(results[-1], searched=search is not None)
+        return replace(results[-1], searched=searched)
 
-    def _begin_search(self, image: _Image, calibration: SessionCalibration | None, *, first: bool) -> None:
+    def _begin_search(self, image: _Image, calibration: SessionCalibration | None) -> None:
         """Begin to search an image."""
         kept, given = replace(image, seen=deepcopy(image.seen)), self.given
         if self.background:
             given = replace(given, config=replace(given.config, threads=1))
-        search = partial(_solved, kept, given, calibration, first=first)
-        self._search = _Search(_called(search, background=self.background), [kept], first)
+        search = partial(_solved, kept, given, calibration, first=self._last is None)
+        self._found, self._images = _called(search, background=self.background), [kept]
 
-    def _go_on(self, search: _Search, image: _Image) -> list[_Image]:
-        """Follow what a search has found from its image on; returns the images that are followed in this step.
+    def _after_search(self, image: _Image) -> list[_Image]:
+        """Return the images that are followed in this step: those since a searched one in which a pose was found.
 
         So where the instrument is followed to does not depend on how long a search takes.
         """
-        images, began = [] if self._pose is None else [image], search.images[0]
-        if image.time > began.time:
-            search.images.append(replace(image, seen=deepcopy(image.seen)))
-        if not search.found.done():
-            if len(search.images) > _MOST_IMAGES:
-                self._search = None
+        images = [] if self._last is None else [image]
+        if self._found is None:
             return images
-        self._search, found = None, search.found.result()
+        began = self._images[0]
+        if image.time > began.time:
+            self._images.append(replace(image, seen=deepcopy(image.seen)))
+        if not self._found.done():
+            self._found = None if len(self._images) > _MOST_IMAGES else self._found
+            return images
+        found, self._found = self._found.result(), None
         if found is None or found.camera_from_root is None or found.covariance is None:
             return images
-        if search.first or _explains(found, self.given.config.trust, self.given.rig.views[0].camera.pixel_scale):
+        pixel_scale = self.given.rig.views[0].camera.pixel_scale
+        if self._last is None or _explains(found, self.given.config.trust, pixel_scale):
             self.start(began.time, found, began.seen, widened=_OWN_ERROR)
-            return search.images
+            return self._images
         return images
 
     def _follow(self, image: _Image, calibration: SessionCalibration | None) -> TrackResult:
         """Follow the pose to an image; where images do not support it for some time, one is searched."""
-        pose, reading, names = self._pose, image.reading, self.given.instrument.joint_names
-        assert pose is not None
-        reads = reading.has_outer and not reading.still
-        used = reading if reads else _standing(reading, pose.at)
-        if pose.following is None or not (reads and pose.reads):
-            walked = pose.covariance + _walk(max(image.time - pose.time, 0.0), len(names))
-            wide = wide_calibration(pose.at, walked, used, self.given)
-            pose.following = Follower(self.given, wide, None if reads else FoundLag(0.0, 0.0), uncertain=True)
-            pose.reads = reads
-        result = pose.following.follow(image.time, used, image.seen)
+        reading, names = image.reading, self.given.instrument.joint_names
+        assert self._last is not None
+        (time, at, covariance), reads = self._last, reading.has_outer and not reading.still
+        used = reading if reads else _standing(reading, at)
+        if self.following is None or not (reads and self._reads):
+            walked = covariance + _walk(max(image.time - time, 0.0), len(names))
+            wide = wide_calibration(at, walked, used, self.given)
+            self.following = Follower(self.given, wide, None if reads else FoundLag(0.0, 0.0), uncertain=True)
+            self._reads = reads
+        result = self.following.follow(image.time, used, image.seen)
         assert result.covariance is not None
-        pose.time, pose.at, pose.covariance = image.time, posed(result, names), result.covariance
-        if pose.following.explained:
+        self._last = image.time, posed(result, names), result.covariance
+        if self.following.explained:
             self._unsupported, self._wait = 0, _FIRST_WAIT
         elif image.seen.problem is None:
             self._unsupported += 1
-            if self._unsupported >= self._wait and self._search is None:
+            if self._unsupported >= self._wait and self._found is None:
                 self._wait = min(2 * self._wait, self._wait + _MORE_WAIT)
-                self._begin_search(image, calibration, first=False)
+                self._begin_search(image, calibration)
         if reads:
             return result
         read = reading.by_name(names)
