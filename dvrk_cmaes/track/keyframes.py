@@ -16,7 +16,6 @@ import numpy as np
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import ecm_readings
-from dvrk_cmaes.frames.seen_view import PackedMask
 from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.names import ECM_JOINTS
@@ -233,7 +232,7 @@ class Keyframes:
             return
         rates = dict(zip(self._names, [*reading.outer_rate.tolist(), *reading.joint_rate.tolist()], strict=False))
         both = masks, self._given.segmenter.ignored(seen)
-        shown, hidden = ({name: PackedMask.of(of_view) for name, of_view in own.items()} for own in both)
+        shown, hidden = ({name: np.packbits(of_view) for name, of_view in own.items()} for own in both)
         self._kept.append(Keyframe(time, shown, hidden, readings, rates))
         self._places = np.vstack([self._places, place])
         self._readings.near = [keyframe.time for keyframe in self._kept]
