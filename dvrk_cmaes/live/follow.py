@@ -80,18 +80,21 @@ class LiveSetup:
         stack: ExitStack,
         show: Callable[[Callable[[], str]], None] = lambda text: None,
     ) -> LiveLoop:
-        """Subscribe to the topics, and return the loop; what it uses is closed with the stack."""
+        """Subscribe to the topics, and return the loop; what it uses is closed with the stack.
+
+        A line of one arm does not keep the same line of another from ``report``.
+        """
         inputs.subscribe(connection)
         arms, apart = [], self.start_process if len(self.arms) > 1 else None
         for own in self.arms:
-            here = partial(FollowedArm, own)
-            followed = here(report) if apart is None else ArmProcess(apart, here, report)
+            here, say = partial(FollowedArm, own), LogThrottle(report)
+            followed = here(say) if apart is None else ArmProcess(apart, here, say)
             stack.callback(followed.close)
             outputs = Outputs(connection, own.names, own.body.instrument.root_link)
             draw = partial(LiveOverlay, own.body) if self.overlay else None
             name, now = own.names.arm, inputs.now
-            arms.append(LiveArm(name, followed.begin, outputs, report, now, draw=draw, origin=self.origin))
-        return LiveLoop(arms, inputs, report, rig=self.rig, show=show)
+            arms.append(LiveArm(name, followed.begin, outputs, say, now, draw=draw, origin=self.origin))
+        return LiveLoop(arms, inputs, LogThrottle(report), rig=self.rig, show=show)
 
 
 class FollowedArm(ExitStack):
@@ -165,10 +168,9 @@ def follow(
     DvrkCmaesError
         Nothing to follow came before the end, or within ``begin_within`` s.
     """
-    say = LogThrottle(report)
-    inputs = Inputs(setup.topics, say, rectified=setup.rectified)
+    inputs = Inputs(setup.topics, LogThrottle(report), rectified=setup.rectified)
     with ExitStack() as stack:
-        loop = setup.loop(inputs, connection, say, stack, show)
+        loop = setup.loop(inputs, connection, report, stack, show)
         counts = loop.run(stop, begin_within=begin_within)
     if not loop.began:
         raise DvrkCmaesError(_what_to_check(setup, inputs, connection))
