@@ -57,8 +57,8 @@ def segment_and_estimate(data: FrameData, files: FrameFiles, body: Body, method:
     """Find the instrument's masks in the images of a frame's views, and its pose from these masks.
 
     Each image is segmented; with the classic model, the pose is estimated and the image segmented again with the pose's
-    silhouette as prior, two times, unless silhouette and mask hardly overlap. A mask by a background, or of a learned
-    model, is kept as it is. The result of a frame of one view is doubtful if the mask's confidence is low.
+    silhouette as prior, two times, unless silhouette and mask hardly overlap. A mask by a smooth background, or of a
+    learned model, is kept as it is. The result of a frame of one view is doubtful if the mask's confidence is low.
 
     Parameters
     ----------
@@ -136,19 +136,19 @@ def _find_mask(
         joints=readings,
     )
     result = None
-    by_colours = settings.model == "classic" and found.before is None
-    for _ in range(_ITERATIONS if by_colours else 0):
+    background = settings.backgrounds.get(view.name) if found.before == "learned background" else None
+    for _ in range(_ITERATIONS if settings.model == "classic" and found.before != "smooth background" else 0):
         own = replace(view, view_from_camera=np.eye(4), mask=found.mask, keypoints=None, given=True)
         result = solve([own])
         silhouette = _silhouette(result, view, body)
-        again = segment_again(image, silhouette, found.mask, view.ignore, hints=hints)
+        again = segment_again(image, silhouette, found.mask, view.ignore, hints=hints, background=background)
         if again is None:
             break
         which = found.notes[-1:] if found.others else ()  # the last note tells which of several is taken
         less_sure, notes = again.confidence, (*again.notes, *which)
         if found.confidence <= less_sure:
             less_sure, notes = found.confidence, found.notes
-        found = replace(again, confidence=less_sure, notes=notes, others=found.others)
+        found = replace(again, confidence=less_sure, notes=notes, others=found.others, before=found.before)
         result = None
     means = f"by the {settings.model} model" if found.before is None else f"by its {found.before}"
     how = f"mask found in the image {means}, confidence {found.confidence:.2f}"

@@ -18,6 +18,7 @@ from dvrk_cmaes.frames.seen_view import overlap_of
 from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.segment import Segmentation, segment
 from dvrk_cmaes.segment.around import segmentation_around
+from dvrk_cmaes.segment.background import foreground_log_odds
 from dvrk_cmaes.segment.prompts import draw_prompts
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
 from dvrk_cmaes.silhouette import Body
@@ -71,14 +72,17 @@ def segment_again(
     ignore: Bool | None,
     *,
     hints: Hints,
+    background: NDArray[np.uint8] | None = None,
 ) -> Segmentation | None:
     """Segment an image (H, W, 3) BGR with a silhouette (H, W) as prior.
 
     ``mask`` (H, W) is the mask that the silhouette's pose was fitted to. Returns None where silhouette and mask overlap
-    too little for a prior, or where no pixel is taken for the instrument.
+    too little for a prior, or where no pixel is taken for the instrument. Before a known ``background`` (h, w, 3) it is
+    what differs from that, and else the colours near the outline, that count besides the silhouette.
     """
     counts = np.True_ if ignore is None else ~ignore
     if overlap_of(silhouette & counts, mask & counts) < _LEAST_OVERLAP:
         return None
-    segmentation = segmentation_around(image, silhouette, draw_prompts(image, hints))
+    odds = None if background is None else foreground_log_odds(image, background)
+    segmentation = segmentation_around(image, silhouette, draw_prompts(image, hints), colours=odds, local=odds is None)
     return segmentation if segmentation.mask.any() else None
