@@ -32,7 +32,7 @@ from dvrk_cmaes.cli.session_tools import (
     reason_lines,
     write_bases,
 )
-from dvrk_cmaes.cli.terminal import DOUBTFUL, INTERRUPTED, STATUS_STYLES, Line, note, table_lines, warn
+from dvrk_cmaes.cli.terminal import DOUBTFUL, INTERRUPTED, STATUS_STYLES, Line, note, progress, table_lines, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -177,7 +177,8 @@ def calibrate(
                 return Begun.of(None)
             return solve(arm, target / name, results=own, refine_camera=wanted.refine_camera)
 
-        found = solved_together({name: partial(begin, name) for name in arms})
+        with progress():
+            found = solved_together({name: partial(begin, name) for name in arms})
         solved = {name: solution for name, solution in found.items() if solution is not None}
         if len(solved) < len(arms):
             return INTERRUPTED
@@ -251,6 +252,7 @@ def _begin_arm(
             if done.interrupted:
                 return Begun.of(None)
             alone = done.results
+        processes.report = stack.enter_context(progress())
         from dvrk_cmaes.runs.calibrate_folder import FolderCalibration
 
         folder = FolderCalibration(arm, target, results, processes, lambda stage, k: note(f"{stage}: {k} frames"))

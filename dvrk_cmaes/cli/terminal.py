@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import os
 import signal
@@ -26,6 +27,7 @@ STATUS_STYLES = {"ok": "bold green", "doubtful": "bold yellow", "failed": "bold 
 _STOPPING = "stopping: the frames that are running are finished and written first (Ctrl-C again: at once)"
 _LINE_EVERY = 15.0  # s
 _LONGEST = 900  # characters of an error message
+_shown: list[Callable[[int, int, str], None]] = []  # the function of the bar that is shown
 
 
 class Line(NamedTuple):
@@ -71,10 +73,17 @@ def note(message: str) -> None:
     if not sys.stderr.isatty():
         print(text, file=sys.stderr)
         return
-    from rich.console import Console
     from rich.text import Text
 
-    Console(stderr=True).print(Text(text))
+    _console().print(Text(text))
+
+
+@functools.cache
+def _console() -> Any:
+    """Return rich's console of stderr, above whose progress bar lines are printed."""
+    from rich.console import Console
+
+    return Console(stderr=True)
 
 
 def show(lines: Iterable[Line]) -> None:
@@ -113,36 +122,47 @@ def answer(document: Any, lines: Iterable[Line], *, json: bool) -> None:
 
 def tracked(items: Iterable[T], what: str, total: int | None = None) -> Iterable[T]:
     """Iterate over items with a progress bar if stderr is a terminal."""
-    from rich.console import Console
     from rich.progress import track
 
-    console = Console(stderr=True)
-    return track(items, what, total, console=console, disable=not console.is_terminal)
+    return track(items, what, total, console=_console(), disable=not _console().is_terminal)
 
 
 @contextlib.contextmanager
 def progress(arm: str = "") -> Iterator[Callable[[int, int, str], None]]:
-    """Give a function that shows how many frames of all are done, and more: in a bar on a terminal, or in lines."""
-    from rich.console import Console
+    """Give a function that shows how many frames of all are done, and more: in a bar on a terminal, or in lines.
+
+    A smaller number than before begins another stage. Within another one it is that one's.
+    """
+    if _shown:
+        yield _shown[-1]
+        return
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    console = Console(stderr=True)
-    started = last = time.monotonic()
+    console = _console()
+    started = last = before = time.monotonic()
     said = TextColumn("{task.fields[said]}")
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), said)
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task(f"{arm} frames".strip(), total=None, said="starting")
 
         def report(done: int, total: int, more: str = "") -> None:
-            nonlocal last
+            nonlocal started, last, before
             now = time.monotonic()
+            if done < bar.tasks[task].completed:
+                started = before
+                bar.reset(task, total=total)
             rate = f"{done / max(now - started, 1e-9):.2f} a second"
             bar.update(task, completed=done, total=total, said=f"{rate}{more}")
+            before = now
             if not console.is_terminal and now - last >= _LINE_EVERY:
                 last = now
                 note(f"{arm}: " * bool(arm) + f"{done} of {total} frames, {rate}{more}")
 
-        yield report
+        _shown.append(report)
+        try:
+            yield report
+        finally:
+            _shown.pop()
 
 
 def exit_code(statuses: Iterable[str]) -> int:

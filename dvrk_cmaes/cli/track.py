@@ -274,10 +274,14 @@ def _followed(arms: Mapping[str, TrackedArm]) -> dict[str, TrackedArm]:
         return arms[name].begin(stop)
 
     with stopping_on_interrupt() as stop:
-        begun = solved_together({name: partial(begin, name) for name in arms})
+        with progress() as report:
+            for arm in arms.values():
+                arm.report = report
+            begun = solved_together({name: partial(begin, name) for name in arms})
         found = {name: arm for name, arm in begun.items() if arm is not None}
         for name, arm in found.items():
             with progress(name) as report:
+                arm.report = report
                 arm.follow(report)
         return found
 

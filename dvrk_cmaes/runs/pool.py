@@ -120,11 +120,14 @@ class Pool(Workers):
         Number of processes, each of which is started when there is a task for it.
     here
         Whether this process does tasks as well, beside the others, with one thread in its libraries.
+
+    Its ``report`` is called with the number of tasks of `values` that are done and of all.
     """
 
     def __init__(self, start: Callable[[], object], count: int, *, here: bool = False) -> None:
         self.start, self.count, self.here = start, count, here
         self.at_once = lambda: 2 * count if here else count  # one waits while this process is at a task
+        self.report: Callable[..., None] = lambda done, total: None
         self._pool: ProcessPoolExecutor | None = None
         self._packed: IO[bytes] | None = None
         self._beginning: threading.Thread | None = None
@@ -198,6 +201,7 @@ class Pool(Workers):
             if isinstance(value, WorkerDied):
                 raise DvrkCmaesError(f"frame {first + 1} of {len(tasks)}: {value.reason}: try fewer --workers")
             found[first] = value
+            self.report(sum(map(len, found.values())), len(tasks))
         return [value for first, _ in groups for value in found[first]]
 
 

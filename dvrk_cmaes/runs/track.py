@@ -118,6 +118,7 @@ class TrackedArm:
         self.arm = arm.with_config(with_commanded(arm.method.config, commanded, joints))
         self.session, self.body, self.out, self.settings = arm.session, arm.body, out, settings
         self._notice, self._stop = notice, threading.Event()
+        self.report: Callable[..., None] = lambda done, total: None
         self._opened, self._finished = ExitStack(), False
         given = arm.method.session
         self._given = given if given is None or settings.lag is None else replace(given, lag=None)
@@ -357,6 +358,7 @@ class TrackedArm:
             if self._stop.is_set():
                 raise _StoppedError
             values += run(function, tasks[first : first + _GROUP])
+            self.report(len(values), len(tasks))
         return values
 
     def _manifest(self) -> Manifest:
