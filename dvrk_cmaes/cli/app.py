@@ -13,7 +13,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
-from cyclopts import App, CycloptsError, MissingArgumentError
+from cyclopts import App, CycloptsError, MissingArgumentError, UnusedCliTokensError
 
 from dvrk_cmaes.cli.terminal import INTERRUPTED, discard_stdout, prepare_streams, print_error
 from dvrk_cmaes.errors import DvrkCmaesError, InputError, one_line
@@ -201,7 +201,11 @@ def _removed(tokens: Sequence[str]) -> str | None:
 
 
 def _missing(error: CycloptsError, tokens: Sequence[str]) -> str | None:
-    """Return the message for a required argument that was not given at all; None for any other error."""
+    """Return the message for a required argument that is missing, or for files of an unquoted pattern; else None."""
+    if isinstance(error, UnusedCliTokensError) and any(map(os.path.exists, error.unused_tokens or ())):
+        return (
+            f"expected one file or folder, got {(error.unused_tokens or [''])[0]} besides: quote a pattern: 'a/*.png'"
+        )
     if not isinstance(error, MissingArgumentError) or error.argument is None:
         return None
     name = error.argument.name

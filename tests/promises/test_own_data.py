@@ -93,6 +93,18 @@ def test_plain_picture_is_a_session_without_readings(tmp_path: Path, quick: Path
     assert [path.stem for path in (tmp_path / "out" / "frames").iterdir()] == ["0003"]
 
 
+def test_pattern_that_the_shell_expanded_is_to_be_quoted(tmp_path: Path) -> None:
+    pictures = [DEMO / "images" / name for name in ("0001.jpg", "0003.jpg")]
+    refusal = run("batch", *pictures, "--camera", DEMO / "camera.yaml", "--out", tmp_path / "out").refusal
+    assert "0003.jpg besides: quote a pattern: 'a/*.png'" in refusal
+
+
+def test_instrument_by_a_number_that_is_not_bundled_names_the_option_that_finds_it(tmp_path: Path) -> None:
+    mask = DEMO / "masks" / "0001.png"
+    refusal = run("estimate", "--mask", mask, "--camera", DEMO / "camera.yaml", "--instrument", 400181).refusal
+    assert "others by number: --description" in refusal
+
+
 def test_camera_that_is_missing_says_what_to_do(tmp_path: Path) -> None:
     shutil.copytree(DEMO / "masks", tmp_path / "masks")
     picture = DEMO / "images" / "0001.jpg"
