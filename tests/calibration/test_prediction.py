@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.batch_sessions import QUICK_CONFIG
+from helpers.page_calibrations import cables_of
 from helpers.session_worlds import Truth, make_frames_in_memory, tip_mm, true_calibration
 from helpers.transforms import change_between, moved
 
@@ -64,6 +65,25 @@ def test_readings_are_corrected_by_the_offsets(known: Known, joint: str, off: fl
     offsets[joint] += off
     readings[joint] -= off
     found = known.estimate(replace(known.session, offsets=offsets), readings)
+    assert found.source == "session"
+    assert known.tip_mm(found) < 0.5
+
+
+@pytest.mark.parametrize("joint", ["roll", "wrist_pitch"])
+def test_readings_are_corrected_by_what_cables_add_to_them(known: Known, joint: str) -> None:
+    """The wrist's yaw drags another joint by as much as itself."""
+    cables, names = cables_of(), ("roll", *known.body.instrument.joint_names)
+    coupling = np.zeros((4, 4))
+    coupling[names.index(joint), names.index("wrist_yaw")] = 1.0
+    alone = replace(
+        cables.alone,
+        offset=tuple(known.session.offsets[name] for name in names),
+        coupling=tuple(map(tuple, coupling.tolist())),
+    )
+    readings = {**known.frame.result.readings}
+    assert abs(readings["wrist_yaw"]) > 0.15
+    readings[joint] -= readings["wrist_yaw"]
+    found = known.estimate(replace(known.session, cables=replace(cables, alone=alone)), readings)
     assert found.source == "session"
     assert known.tip_mm(found) < 0.5
 
