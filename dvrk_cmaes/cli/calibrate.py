@@ -166,7 +166,7 @@ def calibrate(
         arms = {name: wanted.share(arm) for name, arm in read.items()}
         for name, arm in arms.items():
             check_outer_joints([files.readings for files in arm.session.frames])
-            with output(target / name, "calibrate", whole=True, replaces=True, kept=(ALONE,)):
+            with output(target / name, "calibrate", kept=(ALONE,)):
                 check_same_session(target / name, arm.session)
 
         def begin(name: str) -> Begun[SolvedSession | None]:
@@ -239,7 +239,7 @@ def _begin_arm(
 
     session, most = arm.session, count or usable_cores()
     with ExitStack() as stack:
-        stack.enter_context(output(target, "calibrate", whole=True, replaces=True, kept=(ALONE,)))
+        stack.enter_context(output(target, "calibrate", kept=(ALONE,)))
         used = pool_of(arm.body, most, None if results is None else session.frames)
         processes = stack.enter_context(used)
         if results is not None:

@@ -129,12 +129,14 @@ def output_folder(out: Path | None, inside: Path, name: str, command: str, *, wa
 
     That folder inside another one may be no link; errors and ``wait`` are as of `dvrk_cmaes.io.output.output`.
     """
-    from dvrk_cmaes.io.output import output
+    from dvrk_cmaes.io.output import check_no_link, output
 
     if out is None and not inside.is_dir():
         raise InputError(f"{inside}: {no_folder(inside)}; expected a session with camera.yaml, joints.csv and masks")
     path = inside / name if out is None else out
-    with output(path, command, below=inside if out is None else None, wait=wait):
+    if out is None:
+        check_no_link(path)
+    with output(path, command, wait=wait):
         yield path
 
 

@@ -145,7 +145,7 @@ def run_batch(
     method = replace(method, config=with_commanded(method.config, commanded, names), segment=masks)
     arm = replace(arm, method=method, session=replace(session, folder=Path(os.path.abspath(session.folder))))
     started = time.monotonic()
-    with output(out, COMMAND, replaces=not resume) as own:
+    with output(out, COMMAND) as own:
         if not resume:
             own.refuse((*TABLES, *results_of([files.name for files in frames], session.rig.names)))
             own.clear()

@@ -25,7 +25,7 @@ from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.atomic import write_json, write_text
 from dvrk_cmaes.io.encode import encoded
-from dvrk_cmaes.io.output import appended, output, remove
+from dvrk_cmaes.io.output import output, remove
 from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
@@ -171,7 +171,7 @@ class TrackedArm:
     def _open(self, stack: ExitStack) -> None:
         """Open the folder; results of a run that was finished are read."""
         out, resume = self.out, self.settings.resume
-        own = stack.enter_context(output(out, "track", replaces=not resume))
+        own = stack.enter_context(output(out, "track"))
         own.refuse((TRACKS, TABLE, VIDEO, PAGE, SESSION))
         manifest, old = self._manifest(), read_manifest(out)
         if old is not None and resume:
@@ -236,8 +236,10 @@ class TrackedArm:
         ``progress`` is called after each frame with the number of frames done and that of all, at the start with 0.
         """
         with self._opened:
-            if not self._finished and not self._by_keyframes():
-                self._forwards(progress)
+            if not self._finished:
+                if not self._by_keyframes():
+                    self._forwards(progress)
+                write_text(self.out / TRACKS, "".join(line_of(row) for row in self.rows))
             calibration = self.calibration
             lag = None if calibration is None else calibration.applied_lag
             late = (self.settings.lag or 0.0) if lag is None else lag.in_seconds(1 / self.clock.interval)
@@ -254,7 +256,7 @@ class TrackedArm:
                     write_outputs(self)
 
     def _by_keyframes(self) -> bool:
-        """Follow a recording with the calibration of its keyframes, and write the rows, none if it is stopped.
+        """Follow a recording with the calibration of its keyframes, without rows if it is stopped.
 
         Returns False, after a line that says why, if every frame is to be followed from those before it only.
         """
@@ -274,15 +276,14 @@ class TrackedArm:
         return False
 
     def _fit_all(self, solution: RecordedSolution, work: ArmSetup) -> None:
-        """Fit all frames of a recording by the solution of its keyframes, and write the rows."""
+        """Fit all frames of a recording by the solution of its keyframes."""
         self._stage("fitting", len(self.frames))
         results = follow_window(solution, work)
         self.rows = [self._row(files, result) for files, result in zip(self.frames, results, strict=True)]
-        write_text(self.out / TRACKS, "".join(line_of(row) for row in self.rows))
         self.calibration = _with_lag(solution.calibration, self.settings.lag, self.clock)
 
     def _forwards(self, progress: Callable[..., None]) -> None:
-        """Follow the frames from image to image, and write the row of each when it is there."""
+        """Follow the frames from image to image."""
         settings, method, total = self.settings, self.arm.method, len(self.frames)
         tracker = Tracker(
             self.session.rig,
@@ -301,10 +302,8 @@ class TrackedArm:
                 threads = settings.workers or usable_cores()
                 solver = stack.enter_context(SolverProcess(self.body, threads=threads))
                 schedule = SolutionSchedule(tracker, solver)
-            file = stack.enter_context(appended(self.out / TRACKS, b""))
             for files, result in self._steps(tracker, schedule):
                 self.rows.append(self._row(files, result))
-                file.write(line_of(self.rows[-1]).encode())
                 progress(len(self.rows), total)
                 if self._stop.is_set():
                     break

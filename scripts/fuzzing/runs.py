@@ -184,7 +184,7 @@ def damaged_files(made: Path) -> list[str]:
     """Return which documents and pictures of a command are not whole; temporary files do not count."""
     found = []
     for path in [made] if made.is_file() else sorted(made.rglob("*")):
-        if not path.name.startswith(".") and (read := _READERS.get(path.suffix)) is not None:
+        if not _is_temporary(path, made) and (read := _READERS.get(path.suffix)) is not None:
             try:
                 read(path)
             except (ValueError, InputError) as error:
@@ -195,7 +195,12 @@ def damaged_files(made: Path) -> list[str]:
 def written(made: Path) -> dict[str, Any]:
     """Return the contents of a file or of a folder's files by name, without times; of a page and a video, nothing."""
     files = [made] if made.is_file() else [path for path in made.rglob("*") if path.is_file()]
-    return {str(path.relative_to(made.parent)): _content(path) for path in files if not path.name.startswith(".")}
+    return {str(path.relative_to(made.parent)): _content(path) for path in files if not _is_temporary(path, made)}
+
+
+def _is_temporary(path: Path, made: Path) -> bool:
+    """Whether a path in a folder is hidden, as what a killed command had not finished is."""
+    return any(part.startswith(".") for part in path.relative_to(made).parts)
 
 
 def _content(path: Path) -> Any:

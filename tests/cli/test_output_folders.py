@@ -56,8 +56,8 @@ def session(tmp_path: Path) -> Path:
 
 
 def opened(path: Path, command: str, *, whole: bool = False) -> None:
-    """Open a folder in which a command replaces its files."""
-    with output(path, command, whole=whole, replaces=True):
+    """Open a folder, which a command may replace as a whole."""
+    with output(path, command, kept=() if whole else None):
         pass
 
 

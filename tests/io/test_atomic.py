@@ -40,7 +40,7 @@ def test_interruption_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_file_of_another_program_is_renamed_when_it_is_complete(tmp_path: Path) -> None:
     target = tmp_path / "new" / "a.mp4"
     with written_beside(target, "a video") as beside:
-        assert (beside.parent.parent, beside.suffix) == (target.parent, ".mp4")
+        assert (beside.parent, beside.suffix) == (target.parent, ".mp4")
         beside.write_bytes(b"whole")
         assert not target.exists()
     assert target.read_bytes() == b"whole"

@@ -17,7 +17,7 @@ import pytest
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.io import output as output_module
 from dvrk_cmaes.io.atomic import write_text
-from dvrk_cmaes.io.output import LONG, Output, appended, check_files, output, remove, written_beside
+from dvrk_cmaes.io.output import LONG, Output, check_files, output, remove, written_beside
 
 FILES = ("frames/a.json", "summary.json")
 
@@ -28,9 +28,8 @@ def write(
     *,
     replaces: bool = False,
     names: tuple[str, ...] = FILES,
-    below: Path | None = None,
 ) -> None:
-    with output(out, "batch", replaces=replaces, below=below) as own:
+    with output(out, "batch") as own:
         if replaces:
             own.clear()
         for name in names:
@@ -51,7 +50,7 @@ def test_files_are_listed_and_replaced(tmp_path: Path) -> None:
     assert not (out / "frames" / "a.json").exists()
 
 
-@pytest.mark.parametrize("place", ["", "frames", "frames/a.json", "summary.json", "run.json", "new"])
+@pytest.mark.parametrize("place", ["frames", "frames/a.json", "summary.json", "run.json", "new"])
 @pytest.mark.parametrize("target", ["folder", "file", "nothing", "loop"])
 @pytest.mark.parametrize("earlier", [True, False])
 def test_nothing_is_written_or_removed_through_a_link(tmp_path: Path, place: str, target: str, earlier: bool) -> None:
@@ -62,7 +61,7 @@ def test_nothing_is_written_or_removed_through_a_link(tmp_path: Path, place: str
         path.write_text(text)
     session.mkdir()
     if earlier:
-        write(out, below=session)
+        write(out)
         if (out / place).is_dir():
             (out / place).rename(tmp_path / "apart")
         else:
@@ -71,10 +70,8 @@ def test_nothing_is_written_or_removed_through_a_link(tmp_path: Path, place: str
     link.parent.mkdir(parents=True, exist_ok=True)
     os.symlink({"folder": home, "file": home / "file", "nothing": home / "new", "loop": link}[target], link)
     for replaces in (False, True):
-        with pytest.raises(
-            InputError, match="got a link" if earlier or not place else "got a link|new or empty folder"
-        ):
-            write(out, replaces=replaces, below=session)
+        with pytest.raises(InputError, match="got a link" if earlier else "got a link|new or empty folder"):
+            write(out, replaces=replaces)
     assert {path: path.read_text() for path in home.iterdir()} == home_files
     assert os.path.islink(link)
 
@@ -99,18 +96,12 @@ USERS: dict[str, Callable[[Path], None]] = {
     "write": lambda out: write_text(out / "summary.json", "y"),
     "remove": lambda out: remove(out / "summary.json"),
     "beside": lambda out: _write_beside(out / "summary.json"),
-    "append": lambda out: _append(out / "summary.json"),
 }
 
 
 def _write_beside(path: Path) -> None:
     with written_beside(path, "a file") as beside:
         beside.write_text("y")
-
-
-def _append(path: Path) -> None:
-    with appended(path, b"y") as file:
-        file.write(b"z")
 
 
 @pytest.mark.parametrize("does", USERS)
@@ -190,15 +181,19 @@ def test_check_of_a_folder_that_another_command_writes_to_never_fails(tmp_path: 
         assert all(checked.get())
 
 
-def test_folder_that_is_replaced_by_a_link_meanwhile_is_written_to_by_its_handle(tmp_path: Path) -> None:
+def test_folder_that_is_replaced_by_a_link_meanwhile_is_not_written_to(tmp_path: Path) -> None:
     folder, elsewhere = tmp_path / "results", tmp_path / "elsewhere"
     elsewhere.mkdir()
     with output(folder, "batch"):
         folder.rename(tmp_path / "moved")
         folder.symlink_to(elsewhere)
+        with pytest.raises(InputError, match="expected the folder in which the command began, got another one"):
+            write_text(folder / "b.txt", "b")
+        assert not any(elsewhere.iterdir())
+        folder.unlink()
+        (tmp_path / "moved").rename(folder)
         write_text(folder / "b.txt", "b")
-    assert (tmp_path / "moved" / "b.txt").read_text() == "b"
-    assert not any(elsewhere.iterdir())
+    assert listed(folder) == {"b.txt"}
 
 
 def test_second_command_is_refused_until_the_first_one_ends(tmp_path: Path) -> None:
