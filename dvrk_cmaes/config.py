@@ -376,6 +376,8 @@ class TrackConfig:
         Value of the brightest pixel below which an image counts as black.
     colour_share
         Share of an image's colours in those that were learned, each time that they are learned anew.
+    frames_a_second
+        Frames a second of a session whose images have no times.
     reading_gap, still_seconds
         Longest time between readings, s, over which they are interpolated; time after which unchanged readings of all
         outer joints count as frozen.
@@ -384,6 +386,7 @@ class TrackConfig:
     lag_std: float = 0.1
     black_level: int = 16
     colour_share: float = 0.15
+    frames_a_second: float = 30.0
     reading_gap: float = 0.15
     still_seconds: float = 0.25
 

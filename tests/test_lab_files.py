@@ -520,7 +520,7 @@ CASES: Final = (
     LabCase(
         "whole seconds",
         _tracked([str(k) for k in range(6)], "frame,time,yaw\n" + "".join(f"{k},{k // 3},0.1\n" for k in range(6))),
-        "--fps",
+        r"track\.frames_a_second",
         (REFUSED,),
     ),
     LabCase("images from before the readings", _recorded_before, "3 frames: "),

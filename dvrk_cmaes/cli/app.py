@@ -98,6 +98,7 @@ _REMOVED: Final[tuple[tuple[Sequence[str], Sequence[str], str], ...]] = (
     (("import",), ("--layout squeezed-top-bottom",), "--layout top-bottom after `ffmpeg -i IN -vf scale=iw:2*ih OUT`"),
     (("import",), ("--interlaced",), "`ffmpeg -i IN -vf bwdif=send_field OUT`, which makes an image of each field"),
     (("track",), ("--columns",), _TOOL),
+    (("track",), ("--fps",), f"track.frames_a_second {_IN_FILE}"),
     (("track",), ("--layout", "--video-start"), "`dvrk-cmaes import`"),
     (("track",), ("--frame-offset", "--frame-step"), "times in joints.csv and images.csv, or `dvrk-cmaes import`"),
 )

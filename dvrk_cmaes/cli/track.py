@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -67,8 +66,6 @@ class TrackOptions:
     lag
         Lag of the images behind the readings, in seconds or frames, such as 0.13 or 4frames. auto: that of --session,
         or found while following.
-    fps
-        Frames a second of a session whose images have no times.
     causal
         Follow from image to image: no frame's result uses later ones. So are recordings without readings, and those
         of which fewer than 12 keyframes are usable or agree.
@@ -95,7 +92,6 @@ class TrackOptions:
     every: int = 1
     joints: str | None = None
     lag: Annotated[str, Parameter(allow_leading_hyphen=True)] = AUTO
-    fps: float = 30.0
     causal: Flag = False
     workers: int | None = None
     resume: Annotated[bool, Parameter(negative="--overwrite")] = True
@@ -114,9 +110,6 @@ class TrackOptions:
         """Raise an InputError for a value that is not valid."""
         check_range("--every", self.every, 1, MOST_SKIPPED)
         check_range("--workers", self.workers, 1, MOST_WORKERS)
-        if not (math.isfinite(self.fps) and self.fps > 0):
-            raise InputError(f"--fps: expected frames a second above 0, got {self.fps:g}")
-        check_range("--fps", self.fps, 1e-3, 1e6, "frames a second")
         if self.rerun is not None:
             from dvrk_cmaes.export.rerun_file import check_rerun
 
@@ -146,11 +139,13 @@ class TrackOptions:
         hints = hints_of(used.frames[0]) if place == PromptOptions() else None
         method = replace(arm.method, hints=hints or hints_within(place.hints(), used.frames[0].crop))
         used = with_first_mask(used, self.first_mask)
-        same = ("every", "causal", "workers", "resume", "video", "page", "rerun")
+        rate, same = (
+            method.config.track.frames_a_second,
+            ("every", "causal", "workers", "resume", "video", "page", "rerun"),
+        )
         settings = TrackSettings(
-            lag=None if self.lag == AUTO else Lag.parse("--lag", self.lag).in_seconds(self.fps),
+            lag=None if self.lag == AUTO else Lag.parse("--lag", self.lag).in_seconds(rate),
             use_joints=self.joints != NO_READINGS,
-            frames_a_second=self.fps,
             evidence=evidence,
             **{field: getattr(self, field) for field in same},
         )

@@ -205,14 +205,15 @@ class Output:
                 )
         self._end = len(data) - len(_END)
         if not data.endswith(_END):
-            self.write_list()
+            self.describe()
 
-    def write_list(self) -> None:
-        """Write run.json anew; the new one is locked before it takes the place of the old one."""
-        head = json.dumps({"command": self.command, **self.head, "files": {}}, indent=1, ensure_ascii=False)
+    def describe(self, head: Mapping[str, Any] | None = None) -> None:
+        """Write run.json anew, with what the results depend on, if that is given; it is locked before it is renamed."""
+        self.head = self.head if head is None else dict(head)
+        begin = json.dumps({"command": self.command, **self.head, "files": {}}, indent=1, ensure_ascii=False)
         known = {name: digests[0] if len(digests) == 1 else digests for name, digests in sorted(self.files.items())}
         files = (f"\n  {json.dumps(name)}: {json.dumps(digests)}" for name, digests in known.items())
-        data = head[: -len("}\n}")].encode() + ",".join(files).encode() + _END
+        data = begin[: -len("}\n}")].encode() + ",".join(files).encode() + _END
         temporary = self.path / _temporary()
         run = os.open(temporary, _NEW | os.O_EXCL, 0o666)
         with contextlib.ExitStack() as undone:
@@ -225,11 +226,6 @@ class Output:
             undone.pop_all()
         os.close(self._run)
         self._run, self._end, self._changed = run, len(data) - len(_END), False
-
-    def describe(self, head: Mapping[str, Any]) -> None:
-        """State in run.json what the results depend on."""
-        self.head = dict(head)
-        self.write_list()
 
     def note(self, name: str, digest: str | None) -> None:
         """Note the digest of a file that is written next, "" if it is not known yet, None for one that is removed.
@@ -265,7 +261,7 @@ class Output:
         if place.is_dir():
             raise InputError(f"{place}: expected a file, or none yet, but a folder is there")
         own = self.files.get(name, [])
-        if place.exists() and not (own and place.is_file() and {"", _digest(place)} & {*own}):
+        if place.exists() and not (own and place.is_file() and ({"", _digest(place)} & {*own} or _is_cut(place))):
             raise InputError(
                 f"{self.path}: {name} was not written by `{self.command}`, or changed since; choose another --out, or "
                 "move it"
@@ -290,8 +286,8 @@ class Output:
         self.refuse(self.files)
         for name in list(self.files):
             self.remove(name)
-        self.head, self.files = {}, {}
-        self.write_list()
+        self.files = {}
+        self.describe({})
 
     def others(self, kept: Collection[str] = ()) -> list[str]:
         """Return the files that the command did not write, without those in subfolders that are ``kept``.
@@ -332,7 +328,7 @@ class Output:
             if not self.files and not _files_in(self.path):
                 (self.path / RUN).unlink()
             elif self._changed:
-                self.write_list()
+                self.describe()
 
     def _release(self) -> None:
         (self.path / HELD).unlink(missing_ok=True)
@@ -356,6 +352,12 @@ def _nearest(path: Path) -> tuple[Output | None, str]:
         if folder in _opened.outputs:
             return _opened.outputs[folder], place.relative_to(folder).as_posix()
     return None, place.name
+
+
+def _is_cut(path: Path) -> bool:
+    """Whether a file was cut off, as by a power cut: an empty one, or a document without its end."""
+    text = path.read_bytes().strip(b"\0 \n")
+    return not text or (text.startswith(b"{") and not text.endswith(b"}"))
 
 
 @contextlib.contextmanager
@@ -400,11 +402,6 @@ def output(
                     opened.callback(_opened.outputs.pop, place)
             out.check(kept)
         yield out
-
-
-def opened_output(path: Path) -> Output:
-    """Return the output folder at a path, which is open."""
-    return _opened.outputs[Path(os.path.abspath(path))]
 
 
 def check_files(path: Path, command: str, names: Iterable[str]) -> None:

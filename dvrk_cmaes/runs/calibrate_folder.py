@@ -27,7 +27,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.io.atomic import write_json, write_text
-from dvrk_cmaes.io.output import opened_output, whole_folder, write_bytes
+from dvrk_cmaes.io.output import output, whole_folder, write_bytes
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.results.folder import ALONE, SESSION
 from dvrk_cmaes.results.paths import (
@@ -136,7 +136,8 @@ class FolderCalibration:
             write_json(place / SESSION, calibration.to_dict())
             stamps = {own.name: frame_stamps(own) for own in session.frames if own.name in solved.results}
             manifest = manifest_of(replace(self.arm, session=session), stamps)
-            opened_output(place).describe(manifest | {"solved": "together"})
+            with output(place, "calibrate") as own:
+                own.describe(manifest | {"solved": "together"})
             finish(place, trust=self.arm.method.config.trust)
         return solved
 

@@ -48,7 +48,7 @@ from dvrk_cmaes.runs.manifest import (
 from dvrk_cmaes.runs.pool import pool_of, run_with_body, usable_cores
 from dvrk_cmaes.runs.recording import RecordedFrames, RecordedSolution, follow_window
 from dvrk_cmaes.runs.solver_process import SolverProcess
-from dvrk_cmaes.runs.track_inputs import FRAMES_A_SECOND, TrackClock, files_of_views, read_arrays, series_of
+from dvrk_cmaes.runs.track_inputs import TrackClock, files_of_views, read_arrays, series_of
 from dvrk_cmaes.runs.track_outputs import write_outputs
 from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.track import Tracker
@@ -73,7 +73,6 @@ class TrackSettings:
     lag: float | None = None
     every: int = 1
     use_joints: bool = True
-    frames_a_second: float = FRAMES_A_SECOND
     causal: bool = False
     evidence: EvidenceKind | None = None
     workers: int | None = None
@@ -111,7 +110,9 @@ class TrackedArm:
     ) -> None:
         every, joints = arm.session.frames[:: settings.every], arm.body.instrument.joint_names
         self.frames = tuple(replace(files, problem=None, unread=False) if files.unread else files for files in every)
-        self.clock = TrackClock.of(arm.session, self.frames, settings.frames_a_second, use_joints=settings.use_joints)
+        self.clock = TrackClock.of(
+            arm.session, self.frames, arm.method.config.track.frames_a_second, use_joints=settings.use_joints
+        )
         readings = [files.readings for files in self.frames] if settings.use_joints else []
         commanded = commanded_in(readings, joints)
         self._remarks = (describe_commanded(commanded),) if commanded else ()
@@ -362,7 +363,7 @@ class TrackedArm:
 
     def _manifest(self) -> Manifest:
         """Return what the results depend on."""
-        names = ("lag", "every", "use_joints", "frames_a_second", "causal", "evidence")
+        names = ("lag", "every", "use_joints", "causal", "evidence")
         followed = {name: encoded(getattr(self.settings, name)) for name in names}
         digests = {files.name: frame_stamps(files) for files in self.frames}
         return manifest_of(self.arm, digests) | {"track": {**followed, "hints": encoded(self.arm.method.hints)}}

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Final
 
 import cv2
 import numpy as np
@@ -22,9 +21,6 @@ from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, known_wh
 from dvrk_cmaes.joints.lag import Unit
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.track.view_segmenter import EvidenceKind
-
-FRAMES_A_SECOND: Final = 30.0
-"""Images a second of a session whose images have no times."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +127,7 @@ def with_increasing_times(session: Session) -> tuple[Session, tuple[str, ...]]:
         return session, ()
     source = session.folder / "images.csv"
     where = source if source.exists() else next((file.path for file in session.joint_files), session.folder)
-    count = "; a file without times has its frames counted (--fps)"
+    count = "; a file without times has its frames counted (track.frames_a_second)"
     for (before, earlier), (name, time) in pairwise(timed):
         if time < earlier:
             raise InputError(

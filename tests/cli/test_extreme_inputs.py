@@ -61,7 +61,6 @@ def test_mask_of_few_pixels_has_a_result_that_is_never_ok(kind: str) -> None:
         ("batch", "--scheduler", "inproc://x"),
         ("batch", "--scheduler", "tls://host:8786"),
         ("batch", "--scheduler", "tcp://127.0.0.1:1"),
-        ("track", "--fps", "1e308"),
     ],
 )
 def test_extreme_option_is_refused_at_once(

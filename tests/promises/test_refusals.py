@@ -129,7 +129,10 @@ WORDS: dict[str, tuple[list[object], str]] = {
     "track": (["track", DEMO, "--out", "out", "--lag", "soon"], r"--lag: .*'?soon"),
     "track, every": (["track", DEMO, "--every", "0"], r"--every: expected a whole number of at least 1, got 0"),
     "track, workers": (["track", DEMO, "--workers", "0"], r"--workers: expected a whole number of at least 1, got 0"),
-    "track, fps": (["track", DEMO, "--fps", "0"], r"--fps: expected frames a second above 0, got 0"),
+    "track, fps": (
+        ["track", DEMO, "--fps", "0"],
+        r"--fps: no longer an option; use track\.frames_a_second in the settings file",
+    ),
     "track, session": (["track", DEMO, "--out", "out", "--session", "none.json"], r"none\.json: no such file"),
     "track, rerun": (["track", DEMO, "--rerun", "a.mp4"], r"--rerun: expected .* that ends in \.rrd, got 'a\.mp4'"),
     "calibrate": (["calibrate", DEMO, "--out", "out", "--keyframes", "0"], r"--keyframes.*0"),
