@@ -14,14 +14,15 @@ from cyclopts import Parameter
 from dvrk_cmaes.cli.batch import estimated
 from dvrk_cmaes.cli.options import (
     AUTO,
+    CAMERA,
     FOLDER,
     MOST_SKIPPED,
     MOST_WORKERS,
     OUTPUT,
     WORKERS,
     Flag,
-    GuessedSessionOptions,
     ReadingOptions,
+    SessionOptions,
     check_range,
 )
 from dvrk_cmaes.cli.session_tools import (
@@ -72,6 +73,9 @@ class CalibrateOptions:
         Estimate the focal length and the principal point together with the base. They are written to OUT/camera.yaml;
         of two eyes, which are changed alike, to OUT/left.yaml and OUT/right.yaml. Needs at least 6 frames and 5 mm of
         insertion.
+    focal
+        There is no camera file, and the focal length is about this, px. The camera is then found from the frames, as it
+        is where a session has no camera file and none is given.
     workers
         Number of processes that work at a time; by default the number of cores. Few frames are done by one.
     """
@@ -83,6 +87,7 @@ class CalibrateOptions:
     keyframes: int | None = None
     lag: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     refine_camera: Flag = False
+    focal: Annotated[float | None, Parameter(group=CAMERA)] = None
     workers: Annotated[int | None, Parameter(group=WORKERS)] = None
 
     def check(self, place: Path) -> None:
@@ -92,6 +97,12 @@ class CalibrateOptions:
         if self.results is not None and self.results.resolve() == place.resolve():
             expected = "expected another folder than --results, whose frames stay as they are"
             raise InputError(f"--out: {expected}, got {place}")
+
+    def guess(self, camera: Path | None) -> float | Literal["usual"] | None:
+        """Return the focal length to use where there is no camera file, as of `read_session`; None if there is one."""
+        if self.focal is not None and camera is not None:
+            raise InputError("--focal: expected either this or --camera, got both")
+        return ("usual" if self.focal is None else self.focal) if camera is None else None
 
     def share(self, arm: ArmInSession) -> ArmInSession:
         """Return an arm with the frames of its session that match the pattern, or keyframes of these, and settings."""
@@ -118,7 +129,7 @@ def calibrate(
     *,
     wanted: CalibrateOptions = CalibrateOptions(),
     reading: ReadingOptions = ReadingOptions(),
-    given: GuessedSessionOptions = GuessedSessionOptions(),
+    given: SessionOptions = SessionOptions(),
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
     """Calibrate a session: estimate the pose of the arm's base in the camera and the offset of each joint's readings.
@@ -162,7 +173,8 @@ def calibrate(
     wanted.check(session / "calibration" if wanted.out is None else wanted.out)
     with output_folder(wanted.out, session, "calibration", "calibrate") as target:
         lag, setup = wanted.asked_lag(), read_setup_joints(session / SETUP)
-        read = read_arms(session, given, joints=wanted.joints, reading=reading)
+        focal = wanted.guess(given.camera.camera)
+        read = read_arms(session, given, joints=wanted.joints, reading=reading, focal=focal)
         arms = {name: wanted.share(arm) for name, arm in read.items()}
         for name, arm in arms.items():
             check_outer_joints([files.readings for files in arm.session.frames])

@@ -76,11 +76,6 @@ class CameraOptions:
     rectified: Flag = False
     side: Literal["left", "right"] = "left"
 
-    @property
-    def guess(self) -> float | Literal["usual"] | None:
-        """The camera to use where there is no file; None if a file is needed."""
-        return None
-
 
 @Parameter(name="*", group=CAMERA)
 @dataclass(frozen=True, kw_only=True)
@@ -118,28 +113,6 @@ class FrameCameraOptions(CameraOptions):
         else:
             lens = read_camera_file(self.camera, side=self.side, **read_as)
         return fitted(lens, frame, stretch=self.stretch)
-
-
-@Parameter(name="*", group=CAMERA)
-@dataclass(frozen=True, kw_only=True)
-class GuessedCameraOptions(CameraOptions):
-    """Options of a camera that may be without a file.
-
-    Parameters
-    ----------
-    focal
-        There is no camera file, and the focal length is about this, px. The camera is then found from the frames, as it
-        is where a session has no camera file and none is given.
-    """
-
-    focal: float | None = None
-
-    @property
-    def guess(self) -> float | Literal["usual"] | None:
-        """The focal length to use where there is no file, as of `read_session`; InputError if there is one, too."""
-        if self.focal is not None and self.camera is not None:
-            raise InputError("--focal: expected either this or --camera, got both")
-        return ("usual" if self.focal is None else self.focal) if self.camera is None else None
 
 
 @Parameter(name="*", group=READINGS)
@@ -353,20 +326,6 @@ class SessionOptions:
     def settings(self) -> EstimateConfig:
         """Return the settings of the settings file; InputError if one is not valid."""
         return MethodOptions(config=self.config).resolve()
-
-
-@Parameter(name="*")
-@dataclass(frozen=True, kw_only=True)
-class GuessedSessionOptions(SessionOptions):
-    """Options of a session whose camera may be without a file.
-
-    Parameters
-    ----------
-    camera
-        Camera to use instead of the session's own. Without any, it is found as by --refine-camera.
-    """
-
-    camera: GuessedCameraOptions = GuessedCameraOptions()
 
 
 @Parameter(name="*", group=SEGMENT)

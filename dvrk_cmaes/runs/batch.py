@@ -50,8 +50,7 @@ from dvrk_cmaes.runs.output import (
     TABLES,
     check_names,
     chosen_frames,
-    complete_results,
-    refuse_strange_results,
+    earlier_results,
     results_of,
 )
 from dvrk_cmaes.runs.pool import WorkerDied, pool_of, usable_cores
@@ -207,11 +206,11 @@ def _prepare(
     manifest, old = manifest_of(arm, digests), read_manifest(folder)
     kept: dict[str, Status] = {}
     if old is not None:
-        kept = {name: status for name, status in complete_results(folder).items() if status != "failed"}
+        earlier = earlier_results(folder, digests, session)
+        kept = {name: status for name, status in earlier.items() if status != "failed"}
         if kept:
             check_same_settings(folder, old, manifest)
-            check_same_frames(folder, old, digests, done=kept, session=session)
-        refuse_strange_results(folder, digests, session)
+            check_same_frames(folder, old, digests, done=kept)
         manifest = with_frames(old if kept else {**manifest, "frames": old["frames"]}, digests)
     todo = [files for files in frames if files.name not in kept]
     own.refuse(results_of([files.name for files in todo], arm.session.rig.names))

@@ -8,7 +8,7 @@ digest}}
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -93,7 +93,7 @@ FrameParts = Mapping[str, Mapping[str, str]]
 _NOT_COMPARED: Final = ("session", "frames")
 _OF_FILES: Final = ("mask", "image", "video")
 _MOST_SHOWN: Final = 5
-_ADVICE: Final = "choose another --out, or begin anew with --overwrite"
+ADVICE: Final = "choose another --out, or begin anew with --overwrite"
 
 
 class _Instrument(msgspec.Struct):
@@ -145,7 +145,7 @@ def read_manifest(out: Path) -> Manifest | None:
     try:
         convert_document(str(path), manifest, _ManifestFields)
     except InputError as error:
-        raise InputError(f"{error}: {_ADVICE}") from None
+        raise InputError(f"{error}: {ADVICE}") from None
     return manifest
 
 
@@ -160,9 +160,7 @@ def check_same_settings(out: Path, old: Manifest, new: Manifest) -> None:
     changes = [f"{key}: {value[0]} -> {value[1]}" for key, value in _changed(dict(_leaves(old)), dict(_leaves(new)))]
     if changes:
         more = f" and {len(changes) - _MOST_SHOWN} more" if len(changes) > _MOST_SHOWN else ""
-        raise InputError(
-            f"{out}: its results were made otherwise ({'; '.join(changes[:_MOST_SHOWN])}{more}): {_ADVICE}"
-        )
+        raise InputError(f"{out}: its results were made otherwise ({'; '.join(changes[:_MOST_SHOWN])}{more}): {ADVICE}")
 
 
 def check_same_session(out: Path, session: Session) -> None:
@@ -180,9 +178,7 @@ def check_same_session(out: Path, session: Session) -> None:
     raise InputError(f"{out}: it has the results of another session ({old['session']}); choose another --out")
 
 
-def check_same_frames(
-    out: Path, old: Manifest, new: FrameParts, *, done: Collection[str], session: Iterable[str]
-) -> None:
+def check_same_frames(out: Path, old: Manifest, new: FrameParts, *, done: Collection[str]) -> None:
     """Check that the results in a folder are those of the session's frames as they are now.
 
     Parameters
@@ -195,21 +191,16 @@ def check_same_frames(
         Stamps of the frames to be computed.
     done
         Frames whose results exist and are not computed again.
-    session
-        All frames of the session.
 
     Raises
     ------
     InputError
-        A frame is not in the session, or its files have changed; the message names the frames and files.
+        The files of a frame have changed; the message names the frames and files.
     """
-    missing = sorted(set(done) - set(session))
-    if missing:
-        raise InputError(f"{out}: it has results of frames that are not in the session: {listed(missing)}: {_ADVICE}")
     both = {name: [*_changed(old["frames"].get(name, {}), new[name])] for name in sorted(set(done) & set(new))}
     changes = [f"{name} ({', '.join(part for part, _ in parts)})" for name, parts in both.items() if parts]
     if changes:
-        raise InputError(f"{out}: frames have changed since their results were made: {listed(changes)}: {_ADVICE}")
+        raise InputError(f"{out}: frames have changed since their results were made: {listed(changes)}: {ADVICE}")
 
 
 def _changed(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[tuple[str, tuple[Any, Any]]]:

@@ -19,6 +19,7 @@ from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.folder import SESSION, SUMMARY
 from dvrk_cmaes.results.paths import check_output, mask_path, overlay_path, result_path
 from dvrk_cmaes.results.result import Status
+from dvrk_cmaes.runs.manifest import ADVICE
 
 _LONGEST_NAME = 255  # bytes, the limit of nearly all file systems
 
@@ -80,8 +81,8 @@ def results_of(frames: Iterable[str], views: Iterable[str]) -> list[str]:
     ]
 
 
-def refuse_strange_results(out: Path, chosen: Collection[str], session: Collection[str]) -> None:
-    """Check, before frames are estimated, that all results in a folder can be read when they are.
+def earlier_results(out: Path, chosen: Collection[str], session: Collection[str]) -> dict[str, Status]:
+    """Return the status of each frame that has a valid result in a folder and, unless it failed, an overlay.
 
     Raises
     ------
@@ -89,24 +90,18 @@ def refuse_strange_results(out: Path, chosen: Collection[str], session: Collecti
         A result is not of one of the session's frames, or it is damaged and not among the chosen frames, which are
         estimated again; or the folder has a calibration that is damaged.
     """
-    for path in sorted((out / "frames").glob("*.json"), key=lambda path: natural(path.name)):
-        if path.stem not in session:
-            raise InputError(f"{path}: expected a result of a frame of the session, which has no {shown(path.stem)}")
-        if path.stem not in chosen:
-            read_result(path)
+    paths = {path.stem: path for path in sorted((out / "frames").glob("*.json"), key=lambda path: natural(path.name))}
+    missing = [name for name in paths if name not in session]
+    if missing:
+        raise InputError(f"{out}: it has results of frames that are not in the session: {listed(missing)}: {ADVICE}")
+    found: dict[str, Status] = {}
+    for name, path in paths.items():
+        result = readable(partial(read_result, path)) if name in chosen else read_result(path)
+        complete = result is not None and (result.status == "failed" or overlay_path(out, name).is_file())
+        if result is not None and complete and result.frame == name:
+            found[name] = result.status
     if (out / SESSION).exists():
         read_calibration(out / SESSION)
-
-
-def complete_results(out: Path) -> dict[str, Status]:
-    """Return the status of each frame that has a valid result and, unless it failed, an overlay."""
-    found: dict[str, Status] = {}
-    for path in sorted((out / "frames").glob("*.json"), key=lambda path: natural(path.name)):
-        result = readable(partial(read_result, path))
-        if result is None or result.frame != path.stem:
-            continue
-        if result.status == "failed" or overlay_path(out, result.frame).is_file():
-            found[result.frame] = result.status
     return found
 
 

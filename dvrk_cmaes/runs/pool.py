@@ -130,7 +130,6 @@ class Pool(Workers):
         self.report: Callable[..., None] = lambda done, total: None
         self._pool: ProcessPoolExecutor | None = None
         self._packed: IO[bytes] | None = None
-        self._beginning: threading.Thread | None = None
         self._lock = threading.Lock()
 
     def __enter__(self) -> Pool:
@@ -143,8 +142,8 @@ class Pool(Workers):
 
     def begin(self) -> Pool:
         """Start the processes before there are tasks for them, and do not wait until they are ready."""
-        self._beginning = threading.Thread(target=lambda: [self.submit(int) for _ in range(self.count)], daemon=True)
-        self._beginning.start()
+        for _ in range(self.count):
+            self.submit(int)
         return self
 
     def submit(self, call: Callable[..., R], *arguments: Any) -> Future[R]:
@@ -185,8 +184,6 @@ class Pool(Workers):
 
     def close(self) -> None:
         """Let the processes end after their calls, and wait until they have."""
-        if self._beginning is not None:
-            self._beginning.join()
         if self._pool is not None:
             self._pool.shutdown()
         if self._packed is not None:

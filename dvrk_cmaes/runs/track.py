@@ -177,8 +177,7 @@ class TrackedArm:
         manifest, old = self._manifest(), read_manifest(out)
         if old is not None and resume:
             check_same_settings(out, old, manifest)
-            names = list(manifest["frames"])
-            check_same_frames(out, old, manifest["frames"], done=names, session=names)
+            check_same_frames(out, old, manifest["frames"], done=manifest["frames"])
             self._read_finished()
         for name in (SESSION, TABLE):
             remove(out / name)
