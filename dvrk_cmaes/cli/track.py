@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from threading import Event
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
@@ -124,7 +125,16 @@ class TrackOptions:
         if given:
             raise InputError(f"{given[0]}: expected one arm (--only ARM), got a session of several")
 
-    def arm(self, name: str, arm: ArmInSession, target: Path, place: PromptOptions) -> TrackedArm:
+    def arm(
+        self,
+        name: str,
+        arm: ArmInSession,
+        *,
+        target: Path,
+        place: PromptOptions,
+        stop: Event,
+        report: Callable[..., None],
+    ) -> TrackedArm:
         """Say how an arm of a recording is followed; ``place`` is where it is in the first image."""
         from dvrk_cmaes.joints.lag import Lag
         from dvrk_cmaes.runs.frame import hints_of
@@ -139,10 +149,8 @@ class TrackOptions:
         hints = hints_of(used.frames[0]) if place == PromptOptions() else None
         method = replace(arm.method, hints=hints or hints_within(place.hints(), used.frames[0].crop))
         used = with_first_mask(used, self.first_mask)
-        rate, same = (
-            method.config.track.frames_a_second,
-            ("every", "causal", "workers", "resume", "video", "page", "rerun"),
-        )
+        rate = method.config.track.frames_a_second
+        same = ("every", "causal", "workers", "resume", "video", "page", "rerun")
         settings = TrackSettings(
             lag=None if self.lag == AUTO else Lag.parse("--lag", self.lag).in_seconds(rate),
             use_joints=self.joints != NO_READINGS,
@@ -150,7 +158,8 @@ class TrackOptions:
             **{field: getattr(self, field) for field in same},
         )
         notice = note if not name else lambda text: note(f"{name}: {text}")
-        return TrackedArm(replace(arm, session=used, method=method), target / name, settings, notice=notice)
+        used_arm = replace(arm, session=used, method=method)
+        return TrackedArm(used_arm, target / name, settings, notice=notice, stop=stop, report=report)
 
 
 def track(
@@ -201,6 +210,8 @@ def track(
     json
         Print only the numbers of frames by status, as JSON, on stdout.
     """
+    from dvrk_cmaes.calibration.together import solved_together
+
     follow.check()
     with output_folder(follow.out, session if session.is_dir() else session.parent, "tracks", "track") as target:
         folder, video = _session_of(session, follow, target, given.camera)
@@ -209,8 +220,11 @@ def track(
         read = read_arms(folder, given, calibrated, joints=files, video=video, ahead=not follow.causal)
         if len(read) > 1:
             follow.check_for_several(place)
-        arms = {name: follow.arm(name, arm, target, place) for name, arm in read.items()}
-        finished = _followed(arms)
+        with stopping_on_interrupt() as stop, progress() as report:
+            asked = partial(follow.arm, target=target, place=place, stop=stop, report=report)
+            arms = {name: asked(name, arm) for name, arm in read.items()}
+            begun = solved_together({name: partial(_begin, arm, stop) for name, arm in arms.items()})
+        finished = {name: arm for name, arm in begun.items() if arm is not None}
         interrupted = len(finished) < len(arms) or any(arm.interrupted for arm in finished.values())
         doubts = [] if interrupted or len(arms) == 1 else _compared(folder, finished, target, quiet=json)
         counts = {name: arm.counts for name, arm in finished.items()}
@@ -259,26 +273,11 @@ def _imported(path: Path, folder: Path, camera: Path | None, joints: Path | None
     return folder
 
 
-def _followed(arms: Mapping[str, TrackedArm]) -> dict[str, TrackedArm]:
-    """Follow the arms of a recording, whose keyframes are solved together; without those after an interruption."""
-    from dvrk_cmaes.calibration.together import Begun, solved_together
+def _begin(arm: TrackedArm, stop: Event) -> Begun[TrackedArm | None]:
+    """Begin an arm of a recording, unless the run was interrupted before."""
+    from dvrk_cmaes.calibration.together import Begun
 
-    def begin(name: str) -> Begun[TrackedArm | None]:
-        if stop.is_set() and name != next(iter(arms)):
-            return Begun.of(None)
-        return arms[name].begin(stop)
-
-    with stopping_on_interrupt() as stop:
-        with progress() as report:
-            for arm in arms.values():
-                arm.report = report
-            begun = solved_together({name: partial(begin, name) for name in arms})
-        found = {name: arm for name, arm in begun.items() if arm is not None}
-        for name, arm in found.items():
-            with progress(name) as report:
-                arm.report = report
-                arm.follow(report)
-        return found
+    return Begun.of(None) if stop.is_set() else arm.begin()
 
 
 def _compared(folder: Path, arms: Mapping[str, TrackedArm], target: Path, *, quiet: bool) -> list[str]:

@@ -326,7 +326,7 @@ class Output:
         with contextlib.ExitStack() as ended, _writing(self.path, "results"):
             ended.callback(self._release)
             if not self.files and not _files_in(self.path):
-                (self.path / RUN).unlink()
+                (self.path / RUN).unlink(missing_ok=True)
             elif self._changed:
                 self.describe()
 
@@ -518,6 +518,7 @@ def whole_folder(
             for name in out.others(kept):  # added in the last moment
                 (real / name).parent.mkdir(parents=True, exist_ok=True)
                 os.rename(apart / name, real / name)
+            out.path, out.files = path, made.files  # of the new folder, whose run.json is written
     except DvrkCmaesError as error:
         raise type(error)(str(error).replace(str(temporary), str(path))) from None
     except (OSError, ValueError) as error:

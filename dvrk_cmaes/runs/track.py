@@ -83,7 +83,7 @@ class TrackSettings:
 
 
 class TrackedArm:
-    """An arm of a session that is followed: begin it with all others of the session, then follow it.
+    """An arm of a session that is followed: begin it with all others of the session, which are finished together.
 
     Parameters
     ----------
@@ -96,6 +96,11 @@ class TrackedArm:
     notice
         Called with a line about each stage of a recording that is solved by its keyframes, or why it is not.
 
+    stop
+        Once this event is set, the run ends soon.
+    report
+        Called with the number of frames done and that of all of a stage.
+
     ``frames`` are those that are followed. Once they are, ``rows`` are those of tracks.jsonl, ``calibration`` is what
     they rest on, with its whole lag, and ``readings`` has those of each joint at the frames, less the lag, NaN without.
     """
@@ -106,7 +111,9 @@ class TrackedArm:
         out: Path,
         settings: TrackSettings,
         *,
-        notice: Callable[[str], None] = lambda text: None,
+        notice: Callable[[str], None],
+        stop: threading.Event,
+        report: Callable[..., None],
     ) -> None:
         every, joints = arm.session.frames[:: settings.every], arm.body.instrument.joint_names
         self.frames = tuple(replace(files, problem=None, unread=False) if files.unread else files for files in every)
@@ -118,13 +125,10 @@ class TrackedArm:
         self._remarks = (describe_commanded(commanded),) if commanded else ()
         self.arm = arm.with_config(with_commanded(arm.method.config, commanded, joints))
         self.session, self.body, self.out, self.settings = arm.session, arm.body, out, settings
-        self._notice, self._stop = notice, threading.Event()
-        self.report: Callable[..., None] = lambda done, total: None
-        self._opened, self._finished = ExitStack(), False
+        self._notice, self._stop, self._report, self._finished = notice, stop, report, False
         given = arm.method.session
         self._given = given if given is None or settings.lag is None else replace(given, lag=None)
         self._work: ArmSetup | None = None
-        self._solution: RecordedSolution | str | None = None  # or why there is none
         self.rows: list[dict[str, Any]] = []
         self.calibration: SessionCalibration | None = None
         self.readings: Mapping[str, Float64] = {}
@@ -144,10 +148,8 @@ class TrackedArm:
         """Frames a second that are followed."""
         return 1 / (self.clock.interval * self.settings.every)
 
-    def begin(self, stop: threading.Event | None = None) -> Begun[TrackedArm]:
-        """Open the folder, and solve the keyframes of the recording, which `solved_together` finishes.
-
-        Once ``stop`` is set, the run ends soon.
+    def begin(self) -> Begun[TrackedArm]:
+        """Open the folder, and solve the keyframes; what `solved_together` finishes follows the arm, and writes all.
 
         Raises
         ------
@@ -156,7 +158,7 @@ class TrackedArm:
         DvrkCmaesError
             Another run is writing there, or a process died.
         """
-        self._stop, settings = stop or self._stop, self.settings
+        settings = self.settings
         for text in self._remarks:
             self._notice(f"warning: {text}")
         check_writable(self.out)
@@ -166,8 +168,7 @@ class TrackedArm:
             if settings.use_joints and not (settings.causal or self._finished):
                 with suppress(_StoppedError):
                     begun = self._begin_keyframes(stack)
-            self._opened = stack.pop_all()
-        return Begun(partial(self._finish, begun), begun.arm)
+            return Begun(partial(self._finish, begun), begun.arm).within(stack.pop_all())
 
     def _open(self, stack: ExitStack) -> None:
         """Open the folder; results of a run that was finished are read."""
@@ -179,7 +180,7 @@ class TrackedArm:
             check_same_settings(out, old, manifest)
             check_same_frames(out, old, manifest["frames"], done=manifest["frames"])
             self._read_finished()
-        for name in (SESSION, TABLE):
+        for name in (SESSION, TABLE, *(() if self._finished else (TRACKS,))):
             remove(out / name)
         own.describe(manifest)
 
@@ -212,50 +213,42 @@ class TrackedArm:
         recorded = measured(frames, self.session.rig, series, times)
         self._work = work
         if given is not None and not recorded.trusted.any():
-            self._solution = "no frame has readings of the outer joints that are not frozen"
-        elif given is not None and by_masks:
-            self._solution = RecordedSolution(recorded, given)
-        elif by_masks:
-            return begin_keyframes(recorded, work)
-        else:
-            return begin_images(recorded, given, method.hints or Hints(), work)
-        return Begun.of(None)
+            return Begun.of("no frame has readings of the outer joints that are not frozen")
+        if given is not None and by_masks:
+            return Begun.of(RecordedSolution(recorded, given))
+        return (
+            begin_keyframes(recorded, work)
+            if by_masks
+            else begin_images(recorded, given, method.hints or Hints(), work)
+        )
 
     def _finish(self, begun: Begun[RecordedSolution | str | None], outcome: Outcome | None) -> TrackedArm:
-        """Finish the keyframes of the arm, whose folder and processes are open."""
-        with ExitStack() as stack:
-            stack.enter_context(self._opened)
-            with suppress(_StoppedError):
-                self._solution = begun.finish(outcome) or self._solution
-            self._opened = stack.pop_all()
+        """Finish the keyframes of the arm, whose folder and processes are open, follow it, and write everything."""
+        found = None
+        with suppress(_StoppedError):
+            found = begun.finish(outcome)
+        if not self._finished:
+            if not self._by_keyframes(found):
+                self._forwards()
+            if self.rows:
+                write_text(self.out / TRACKS, "".join(line_of(row) for row in self.rows))
+        calibration = self.calibration
+        lag = None if calibration is None else calibration.applied_lag
+        late = (self.settings.lag or 0.0) if lag is None else lag.in_seconds(1 / self.clock.interval)
+        if calibration is not None:
+            new = tuple(text for text in self._remarks if text not in calibration.remarks)
+            self.calibration = calibration = replace(calibration, remarks=(*calibration.remarks, *new))
+        if calibration is not None and self.rows:
+            write_json(self.out / SESSION, calibration.to_dict())
+        times = np.array([self.clock.times[files.name] for files in self.frames]) - late
+        self.readings = self.clock.readings_at(times, self.arm.method.config.track.reading_gap)
+        if not self.interrupted:
+            write_table(self.out / TABLE, self.rows, self.body.instrument.joint_names)
+            if self.rows:
+                write_outputs(self)
         return self
 
-    def follow(self, progress: Callable[..., None] = lambda done, total: None) -> None:
-        """Follow the arm, and write everything to its folder.
-
-        ``progress`` is called after each frame with the number of frames done and that of all, at the start with 0.
-        """
-        with self._opened:
-            if not self._finished:
-                if not self._by_keyframes():
-                    self._forwards(progress)
-                write_text(self.out / TRACKS, "".join(line_of(row) for row in self.rows))
-            calibration = self.calibration
-            lag = None if calibration is None else calibration.applied_lag
-            late = (self.settings.lag or 0.0) if lag is None else lag.in_seconds(1 / self.clock.interval)
-            if calibration is not None:
-                new = tuple(text for text in self._remarks if text not in calibration.remarks)
-                self.calibration = calibration = replace(calibration, remarks=(*calibration.remarks, *new))
-            if calibration is not None and self.rows:
-                write_json(self.out / SESSION, calibration.to_dict())
-            times = np.array([self.clock.times[files.name] for files in self.frames]) - late
-            self.readings = self.clock.readings_at(times, self.arm.method.config.track.reading_gap)
-            if not self.interrupted:
-                write_table(self.out / TABLE, self.rows, self.body.instrument.joint_names)
-                if self.rows:
-                    write_outputs(self)
-
-    def _by_keyframes(self) -> bool:
+    def _by_keyframes(self, found: RecordedSolution | str | None) -> bool:
         """Follow a recording with the calibration of its keyframes, without rows if it is stopped.
 
         Returns False, after a line that says why, if every frame is to be followed from those before it only.
@@ -264,7 +257,6 @@ class TrackedArm:
             return False
         because = "without readings"
         if self.settings.use_joints:
-            found = self._solution
             if self._work is None or found is None or self._stop.is_set():
                 return True
             if isinstance(found, RecordedSolution):
@@ -282,7 +274,7 @@ class TrackedArm:
         self.rows = [self._row(files, result) for files, result in zip(self.frames, results, strict=True)]
         self.calibration = _with_lag(solution.calibration, self.settings.lag, self.clock)
 
-    def _forwards(self, progress: Callable[..., None]) -> None:
+    def _forwards(self) -> None:
         """Follow the frames from image to image."""
         settings, method, total = self.settings, self.arm.method, len(self.frames)
         tracker = Tracker(
@@ -295,8 +287,8 @@ class TrackedArm:
             evidence=settings.evidence,
             hints=method.hints,
         )
-        progress(0, total)
         with ExitStack() as stack:
+            self._report(0, total)
             schedule = None
             if settings.use_joints and self.clock.outer_read:  # which alone tell of a base
                 threads = settings.workers or usable_cores()
@@ -304,7 +296,7 @@ class TrackedArm:
                 schedule = SolutionSchedule(tracker, solver)
             for files, result in self._steps(tracker, schedule):
                 self.rows.append(self._row(files, result))
-                progress(len(self.rows), total)
+                self._report(len(self.rows), total)
                 if self._stop.is_set():
                     break
             else:
@@ -357,7 +349,7 @@ class TrackedArm:
             if self._stop.is_set():
                 raise _StoppedError
             values += run(function, tasks[first : first + _GROUP])
-            self.report(len(values), len(tasks))
+            self._report(len(values), len(tasks))
         return values
 
     def _manifest(self) -> Manifest:
