@@ -64,45 +64,39 @@ _TOOL: Final = "columns, packages, root_link or tool of [[tool]] in session.toml
 _PICTURES: Final = "right, crop or stretch of [camera] in session.toml"
 _RUNS: Final = ("batch", "calibrate", "track", "live", "golden")
 _SESSIONS: Final = ("batch", "calibrate", "track", "golden", "pnp")
-_REMOVED: Final[tuple[tuple[Sequence[str], Sequence[str], str], ...]] = (
-    (COMMANDS, ("--follow-links",), "copies of the files in the folder"),
-    (COMMANDS, ("--refine",), "--preset card, or NLopt's bobyqa and sbplx by --search"),
-    (_RUNS, ("--preset",), f"refine.derivatives {_IN_FILE}"),
-    (COMMANDS, ("--shaft-radius",), "the radius of the URDF's mesh"),
-    (_RUNS, ("--search",), f"search.method {_IN_FILE}"),
-    (_RUNS, ("--seed",), f"seed {_IN_FILE}"),
-    (_RUNS, ("--threads",), f"threads {_IN_FILE}"),
-    (_SESSIONS, ("--package-path", "--root-link", "--tool"), _TOOL),
-    (_SESSIONS, ("--camera-right", "--crop", "--stretch"), _PICTURES),
-    (("batch",), ("--shard", "--merge"), "`--frames` patterns with an --out each, or --scheduler"),
-    (("batch",), ("--retry-failed",), "the same command: failed frames are estimated again"),
-    (("calibrate",), ("--every",), "--keyframes, or --frames with a pattern"),
-    (
-        ("calibrate",),
-        ("--instrument-candidates",),
-        "a calibration with each --instrument, and compare their leave-one-out",
-    ),
-    (("compare",), ("--picture",), "--out, whose page has the curves"),
-    (("live",), ("--rehearse",), "`dvrk-cmaes track --causal`"),
-    (
-        ("export",),
-        ("--to tracker",),
-        "--to csv, of which `dvrk-cmaes help problems` says how the tracker's start is made",
-    ),
-    (("export",), ("--to joint-correction",), "the offsets in session.json (`dvrk-cmaes help problems`)"),
-    (
-        ("import",),
-        ("--layout squeezed-side-by-side",),
-        "--layout side-by-side after `ffmpeg -i IN -vf scale=2*iw:ih OUT`",
-    ),
-    (("import",), ("--layout squeezed-top-bottom",), "--layout top-bottom after `ffmpeg -i IN -vf scale=iw:2*ih OUT`"),
-    (("import",), ("--interlaced",), "`ffmpeg -i IN -vf bwdif=send_field OUT`, which makes an image of each field"),
-    (("track",), ("--columns",), _TOOL),
-    (("track",), ("--fps",), f"track.frames_a_second {_IN_FILE}"),
-    (("track",), ("--layout", "--video-start"), "`dvrk-cmaes import`"),
-    (("track",), ("--frame-offset", "--frame-step"), "times in joints.csv and images.csv, or `dvrk-cmaes import`"),
-)
-"""Commands, options and values of theirs that are no longer there, and what is used instead."""
+
+
+def _of(commands: Sequence[str], options: Sequence[str], instead: str) -> dict[str, str]:
+    return {f"{command} {option}": instead for command in commands for option in options}
+
+
+_REMOVED: Final[dict[str, str]] = {
+    "--follow-links": "copies of the files in the folder",
+    "--refine": "--preset card, or NLopt's bobyqa and sbplx by --search",
+    "--shaft-radius": "the radius of the URDF's mesh",
+    **_of(_RUNS, ("--preset",), f"refine.derivatives {_IN_FILE}"),
+    **_of(_RUNS, ("--search",), f"search.method {_IN_FILE}"),
+    **_of(_RUNS, ("--seed",), f"seed {_IN_FILE}"),
+    **_of(_RUNS, ("--threads",), f"threads {_IN_FILE}"),
+    **_of(_SESSIONS, ("--package-path", "--root-link", "--tool"), _TOOL),
+    **_of(_SESSIONS, ("--camera-right", "--crop", "--stretch"), _PICTURES),
+    **_of(("batch",), ("--shard", "--merge"), "`--frames` patterns with an --out each, or --scheduler"),
+    "batch --retry-failed": "the same command: failed frames are estimated again",
+    "calibrate --every": "--keyframes, or --frames with a pattern",
+    "calibrate --instrument-candidates": "a calibration with each --instrument, and compare their leave-one-out",
+    "compare --picture": "--out, whose page has the curves",
+    "live --rehearse": "`dvrk-cmaes track --causal`",
+    "export --to tracker": "--to csv; `dvrk-cmaes help problems` says how the tracker's start is made of it",
+    "export --to joint-correction": "the offsets in session.json (`dvrk-cmaes help problems`)",
+    "import --layout squeezed-side-by-side": "--layout side-by-side after `ffmpeg -i IN -vf scale=2*iw:ih OUT`",
+    "import --layout squeezed-top-bottom": "--layout top-bottom after `ffmpeg -i IN -vf scale=iw:2*ih OUT`",
+    "import --interlaced": "`ffmpeg -i IN -vf bwdif=send_field OUT`, which makes an image of each field",
+    "track --columns": _TOOL,
+    "track --fps": f"track.frames_a_second {_IN_FILE}",
+    **_of(("track",), ("--layout", "--video-start"), "`dvrk-cmaes import`"),
+    **_of(("track",), ("--frame-offset", "--frame-step"), "times in joints.csv and images.csv, or `dvrk-cmaes import`"),
+}
+"""Options, and values of theirs, that are no longer there, by command or of any, and what is used instead."""
 
 
 def _version() -> str:
@@ -196,9 +190,10 @@ def _said(error: BaseException, tokens: Sequence[str]) -> int:
 def _removed(tokens: Sequence[str]) -> str | None:
     """Return the message for the first option, or value of one, that is no longer there; None without one."""
     words = [word for token in tokens for word in (token.split("=", 1) if token.startswith("--") else [token])]
-    gone = {name: instead for commands, names, instead in _REMOVED if tokens[0] in commands for name in names}
-    given = (name for name in (*words, *(" ".join(pair) for pair in pairwise(words))) if name in gone)
-    return next((f"{name}: no longer an option; use {gone[name]}" for name in given), None)
+    for name in (*words, *(" ".join(pair) for pair in pairwise(words))):
+        if (instead := _REMOVED.get(f"{tokens[0]} {name}", _REMOVED.get(name))) is not None:
+            return f"{name}: no longer an option; use {instead}"
+    return None
 
 
 def _missing(error: CycloptsError, tokens: Sequence[str]) -> str | None:

@@ -444,18 +444,16 @@ class CalibrationOptions:
 
 
 def split_packages(texts: Iterable[str]) -> dict[str, Path]:
-    """Return the folders of ROS packages by name, from texts of the form NAME=DIR."""
-    return dict(_split_package(text) for text in texts)
-
-
-def _split_package(text: str) -> tuple[str, Path]:
-    """Split NAME=DIR; InputError if the text has another form or the folder does not exist."""
-    name, equals, folder = text.partition("=")
-    if not (name and equals and folder):
-        raise InputError(f"--package-path: expected NAME=DIR, got {text!r}")
-    if not Path(folder).is_dir():
-        raise InputError(f"--package-path: {name}: no such folder: {folder}")
-    return name, Path(folder)
+    """Return the folders of ROS packages by name, from texts NAME=DIR; InputError for another form, or no folder."""
+    found = {}
+    for text in texts:
+        name, _, folder = text.partition("=")
+        if not (name and folder):
+            raise InputError(f"--package-path: expected NAME=DIR, got {text!r}")
+        if not Path(folder).is_dir():
+            raise InputError(f"--package-path: {name}: no such folder: {folder}")
+        found[name] = Path(folder)
+    return found
 
 
 def parse_pixel(option: str, text: str) -> tuple[float, float]:

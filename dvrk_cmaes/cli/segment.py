@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -91,7 +91,9 @@ def segment(
     images = {name: path for name, path in images.items() if fnmatch(name, pattern or "*")}
     if not images:
         raise InputError(f"{source}: expected images (PNG or JPEG), got none")
-    views = {view: [images[frame] for frame in frames] for view, frames in _by_view(images).items()}
+    views: dict[str, list[Path]] = {}
+    for frame, path in images.items():
+        views.setdefault(frame.rpartition("/")[0], []).append(path)
     settings = learned_backgrounds(model.resolve(), views)
     for frame in images:
         check_output(out, frame.rpartition("/")[2])
@@ -112,14 +114,6 @@ def segment(
         of_frame |= files
     answer(document, (line for frame, of_frame in found.items() for line in _lines(frame, of_frame)), json=json)
     return exit_code(of_frame["status"] for of_frame in found.values())
-
-
-def _by_view(frames: Iterable[str]) -> dict[str, list[str]]:
-    """Return the names of images by view, which is before a slash in them."""
-    views: dict[str, list[str]] = {}
-    for frame in frames:
-        views.setdefault(frame.rpartition("/")[0], []).append(frame)
-    return views
 
 
 def segment_file(
