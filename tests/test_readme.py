@@ -139,7 +139,7 @@ def test_example_settings_are_valid() -> None:
     example = text[text.index("    seed = 3") : text.index("\nFlags win over the file")]
     config = updated(EstimateConfig(), tomllib.loads(textwrap.dedent(example)), where="settings.md")
     check_config(config)
-    assert (config.seed, config.search.method, config.refine.derivatives) == (3, "esch", "differences")
+    assert (config.seed, config.search.method, config.refine.derivatives) == (3, "direct-l", "differences")
 
 
 def test_settings_are_explained_with_defaults() -> None:

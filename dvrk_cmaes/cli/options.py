@@ -246,8 +246,8 @@ class MethodOptions:
     Parameters
     ----------
     search
-        Method of the global search: cmaes (default), esch, isres, direct-l, bobyqa or sbplx. The others are there
-        to compare with: they find the same modes in more time.
+        Method of the global search: cmaes (default), direct-l, bobyqa or sbplx. The others are there to compare
+        with: they find as many modes in more than twice the time.
     preset
         card: Gauss-Newton takes its derivatives by central differences of outlines drawn anew, not in closed form:
         nearly the same poses, in more than twice the time.

@@ -19,8 +19,6 @@ from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.geometry import Float64, Indices
 
 NLOPT = {
-    "esch": "GN_ESCH",
-    "isres": "GN_ISRES",
     "direct-l": "GN_DIRECT_L",
     "bobyqa": "LN_BOBYQA",
     "sbplx": "LN_SBPLX",
