@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.geometry import Bool, Float32, Image
 from dvrk_cmaes.segment.around import segmentation_around
 from dvrk_cmaes.segment.colours import ColourTable, measure_colours
+from dvrk_cmaes.segment.graph_cut import LARGEST
 from dvrk_cmaes.segment.prompts import Prompts, no_prompts
 from dvrk_cmaes.segment.regions import distance_to, instrument_region
 from dvrk_cmaes.segment.segmentation import Segmentation, nothing_found
@@ -52,6 +53,13 @@ _MOST_NOISE: Final = 2.0  # in such a bin, times that of the whole picture
 _SAME: Final = 0.15, 4.0  # log-odds against a pixel that is as the background: where the instrument has its colour, not
 _UNSEEN: Final = 0.05  # share of the instrument whose colours do not differ from the background anywhere
 _SMOOTH: Final = 0.7  # px, standard deviation of the Gaussian that smooths differences
+_FAINT: Final = 0.3  # logarithm of brightness against the background's, up to which a difference is faint
+_NEARBY: Final = 1.5  # px, standard deviation of the Gaussian in which the mean and the spread of faint ones are taken
+_SHARED_NOISE: Final = 0.5  # of the noise, which the mean of faint differences has
+_MEANS: Final = np.array([-0.3, -0.2, -0.12, -0.06, 0.06, 0.12, 0.2])
+_ODDS_OF_MEANS: Final = np.array([0.0, -0.3, -1.0, -4.0, -4.0, 0.0, 3.0])
+_SPREADS, _ODDS_OF_SPREADS = np.array([0.05, 0.08, 0.14]), np.array([-4.0, 0.0, 3.0])
+"""Log-odds of instrument by the mean, and by the standard deviation, of faint differences near a pixel."""
 GAP: Final = 0.04
 """Of the longer side, between pieces of an instrument."""
 _SURFACE: Final = 160  # px, longer side at which it is fitted
@@ -125,12 +133,14 @@ def foreground_log_odds(image: Image, background: Image) -> Float32:
     small = shrunk(image, FINEST)
     behind = np.asarray(cv2.resize(background, small.shape[1::-1], interpolation=cv2.INTER_LINEAR), np.uint8)
     along, down = _shift(behind, small)
-    odds = _by_difference(small, _shifted(behind, -along, -down))
+    ratios = _ratios(small, _shifted(behind, -along, -down))
+    odds = _by_difference(*ratios)
     differs = differing_region(odds)
     if not differs.any() or differs.all():
         return odds
     likely = ColourTable(measure_colours(small)).log_odds(differs, odds < -1, unseen=_UNSEEN)
-    return np.where(odds < 0, np.maximum(odds, np.clip(likely, -_SAME[1], -_SAME[0])), odds)
+    odds = np.where(odds < 0, np.maximum(odds, np.clip(likely, -_SAME[1], -_SAME[0])), odds)
+    return np.maximum(odds, _by_details(*ratios) + np.minimum(likely, 0))
 
 
 def segment_before(image: Image, odds: Float32, prompts: Prompts) -> Segmentation:
@@ -158,17 +168,39 @@ def differing_region(odds: Float32, prompts: Prompts | None = None) -> Bool:
     return instrument_region(_opened(odds > 1), GAP * max(odds.shape), prompts) | prompts.tool
 
 
-def _by_difference(image: Image, background: Image) -> Float32:
-    """Return log-odds of instrument (h, w) by the difference of an image from the background of the same size."""
+def _ratios(image: Image, background: Image) -> tuple[Float32, Float32]:
+    """Return logarithms of an image's brightness against a background of the same size, (h, w, 3), and their noise."""
     kernel = np.ones((3, 3), np.uint8)
     near = np.clip(image, cv2.erode(background, kernel), cv2.dilate(background, kernel))
     ratio = np.log((image.astype(np.float32) + _DARK) / (near.astype(np.float32) + _DARK))
+    return ratio, _noise(image, background)[near] / (near + _DARK)
+
+
+def _by_difference(ratio: Float32, noise: Float32) -> Float32:
+    """Return log-odds of instrument (h, w) by `_ratios`."""
     most = np.abs(ratio).argmax(axis=2)[..., None]  # in a shadow all channels differ alike
-    ratio, level = (np.take_along_axis(each, most, axis=2)[..., 0] for each in (ratio, near))
-    noise = _noise(image, background)[level] / (level + _DARK)
+    ratio, noise = (np.take_along_axis(each, most, axis=2)[..., 0] for each in (ratio, noise))
     beyond = np.sign(ratio) * np.maximum(np.abs(ratio) - _NOISE * noise, 0)
     smooth = cv2.GaussianBlur(beyond.astype(np.float32), (0, 0), _SMOOTH)
     return np.asarray(np.interp(smooth, _RATIO, _ODDS), np.float32)
+
+
+def _by_details(ratio: Float32, noise: Float32) -> Float32:
+    """Return log-odds of instrument (h, w) by the mean and the spread of faint differences near each pixel.
+
+    ``ratio`` and ``noise`` are `_ratios`. What is as dark as its background has other details; a shadow has the same.
+    """
+    ratio, noise = ratio.mean(axis=2), noise.mean(axis=2)
+    faint = np.abs(ratio) < _FAINT
+    count, mean, square = (
+        cv2.GaussianBlur(np.where(faint, each, 0).astype(np.float32), (0, 0), _NEARBY)
+        for each in (np.ones_like(ratio), ratio, ratio**2)
+    )
+    mean, square = mean / np.maximum(count, 0.05), square / np.maximum(count, 0.05)
+    spread = np.sqrt(np.maximum(square - mean**2 - _NOISE * noise**2, 0))
+    beyond = np.sign(mean) * np.maximum(np.abs(mean) - _SHARED_NOISE * noise, 0)
+    by_mean, by_spread = np.interp(beyond, _MEANS, _ODDS_OF_MEANS), np.interp(spread, _SPREADS, _ODDS_OF_SPREADS)
+    return np.where(faint, np.maximum(by_mean, by_spread), -LARGEST).astype(np.float32)
 
 
 def _noise(image: Image, background: Image) -> Float32:
@@ -225,7 +257,7 @@ def _closest_values(stack: Image) -> tuple[Image, Float32]:
 
 def _free_of_instrument(image: Image, background: Image) -> Bool:
     """Return the pixels (h, w) that are far from what differs from the background, and from what that encloses."""
-    mask = differing_region(_by_difference(image, background))
+    mask = differing_region(_by_difference(*_ratios(image, background)))
     if not mask.any():
         return np.ones(mask.shape, np.bool_)
     hull = np.zeros(mask.shape, np.uint8)
