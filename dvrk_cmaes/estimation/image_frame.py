@@ -13,15 +13,17 @@ from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.estimation.one_tool import FrameMethod, estimate_views
 from dvrk_cmaes.frames.field_of_view import IGNORED, outside_view
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, image_path
-from dvrk_cmaes.frames.seen_view import SeenView
+from dvrk_cmaes.frames.seen_view import SeenView, overlap_of
 from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.pose.doubts import mask_is_a_guess
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.segment import Segmentation
+from dvrk_cmaes.segment import Segmentation, segment
+from dvrk_cmaes.segment.around import segmentation_around
+from dvrk_cmaes.segment.background import foreground_log_odds
+from dvrk_cmaes.segment.prompts import draw_prompts
 from dvrk_cmaes.segment.segmentation import GUESS, Hints, SegmentSettings
 from dvrk_cmaes.segment.shaft_pairs import prompts_in
-from dvrk_cmaes.segment.silhouette_prior import segment_again, segment_first
 from dvrk_cmaes.silhouette import Body, Renderer
 
 if TYPE_CHECKING:
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 
 
 _ITERATIONS = 2  # segmentations after the first
+_LEAST_OVERLAP = 0.8  # intersection over union of silhouette and mask, below which the silhouette is no prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,36 +127,40 @@ def _find_mask(
     if outside.any():
         view = view.without(outside)
         notes = (IGNORED,)
-    found = segment_first(
+    found = segment(
         image,
-        view.ignore,
-        settings=settings,
-        hints=hints,
+        **vars(hints),
+        model=settings.model,
+        weights=settings.weights,
         threads=threads,
-        view=view.name,
-        body=body,
+        background=settings.backgrounds.get(view.name),
+        instrument=body,
         camera=view.camera,
         joints=readings,
     )
-    result = None
-    background = settings.backgrounds.get(view.name) if found.before == "learned background" else None
+    view = replace(view, mask=found.mask, given=True)
+    if not view.shows:
+        raise DvrkCmaesError("no instrument found in the image; a mask, a box or a point on the instrument would help")
+    result, odds = None, None
+    if found.before == "learned background":
+        odds = foreground_log_odds(image, settings.backgrounds[view.name])
+    counts, prompts = np.True_ if view.ignore is None else ~view.ignore, draw_prompts(image, hints)
     for _ in range(_ITERATIONS if settings.model == "classic" and found.before != "smooth background" else 0):
-        own = replace(view, view_from_camera=np.eye(4), mask=found.mask, keypoints=None, given=True)
-        result = solve([own])
+        result = solve([replace(view, view_from_camera=np.eye(4), keypoints=None)])
         silhouette = _silhouette(result, view, body)
-        again = segment_again(image, silhouette, found.mask, view.ignore, hints=hints, background=background)
-        if again is None:
+        if overlap_of(silhouette & counts, view.mask & counts) < _LEAST_OVERLAP:
             break
-        which = found.notes[-1:] if found.others else ()  # the last note tells which of several is taken
-        less_sure, notes = again.confidence, (*again.notes, *which)
-        if found.confidence <= less_sure:
-            less_sure, notes = found.confidence, found.notes
-        found = replace(again, confidence=less_sure, notes=notes, others=found.others, before=found.before)
-        result = None
+        again = segmentation_around(image, silhouette, prompts, colours=odds, local=odds is None)
+        if not again.mask.any():
+            break
+        view, result = replace(view, mask=again.mask), None
+        if again.confidence < found.confidence:
+            which = found.notes[-1:] if found.others else ()  # the last note tells which of several is taken
+            found = replace(found, confidence=again.confidence, notes=(*again.notes, *which))
     means = f"by the {settings.model} model" if found.before is None else f"by its {found.before}"
     how = f"mask found in the image {means}, confidence {found.confidence:.2f}"
-    found = replace(found, notes=(how, *found.notes))
-    return _FoundMask(replace(view, mask=found.mask, given=True), found, (*notes, *found.notes), result)
+    found = replace(found, mask=view.mask, notes=(how, *found.notes))
+    return _FoundMask(view, found, (*notes, *found.notes), result)
 
 
 def _silhouette(result: Result, view: SeenView, body: Body) -> Bool:

@@ -25,7 +25,7 @@ from dvrk_cmaes.calibration.session_trials import predict_from_first
 from dvrk_cmaes.calibration.together import Begun, Outcome, solved_alone
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
 from dvrk_cmaes.frames.seen_view import SeenView
@@ -37,9 +37,9 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.frame import estimate_frame, hints_of
 from dvrk_cmaes.runs.recording import RecordedFrames, RecordedSolution, predict, read_seen
 from dvrk_cmaes.runs.track_inputs import series_of
-from dvrk_cmaes.segment.segmentation import GUESS, Hints, SegmentSettings
+from dvrk_cmaes.segment import segment
+from dvrk_cmaes.segment.segmentation import GUESS, Hints
 from dvrk_cmaes.segment.shaft_pairs import prompts_in
-from dvrk_cmaes.segment.silhouette_prior import segment_first
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.frame_fits import around_task, learn_task, with_outside
 from dvrk_cmaes.track.image_masks import pooled_colours
@@ -223,15 +223,8 @@ def segment_task(
 def _first_mask(view: SeenView, hints: Hints) -> Bool | None:
     """Find the mask of a view in its image; None where nothing is found, or only a guess."""
     assert view.image is not None
-    try:
-        found = segment_first(
-            view.image, view.ignore, settings=SegmentSettings(), hints=hints, threads=1, view=view.name
-        )
-    except InputError:
-        raise
-    except DvrkCmaesError:
-        return None
-    return found.mask if found.confidence >= GUESS else None
+    found = segment(view.image, **vars(hints), threads=1)
+    return found.mask if found.confidence >= GUESS and replace(view, mask=found.mask).shows else None
 
 
 def begin_images(
