@@ -56,7 +56,7 @@ def _learned(settings: SegmentSettings, images: Mapping[str, Sequence[Load]]) ->
     learned = dict(zip(images, map_threaded(_learn, list(images.values()), len(images)), strict=True))
     notes = []
     for view, found in learned.items():
-        of_view = f"images of {view}" if view else "images"
+        of_view = f"images of {view}" if len(learned) > 1 else "images"
         if not isinstance(found, str):
             notes.append(f"{of_view}: a background was learned from {len(images[view])} of them")
         elif len(images[view]) > 1:
