@@ -16,9 +16,9 @@ from manifold3d import Manifold
 from solids import arc, box, prism, revolve, rod, tube
 
 Outline = Sequence[tuple[float, float]]
-SHAFT_RADIUS: Final = 4.365
+SHAFT_RADIUS: Final = 4.07  # as of the Large Needle Driver, which has the same tube; drawn with 4.365 in dvrk_model
 SHAFT_PROXIMAL_END: Final = -323.65  # z
-FLANGE_RADIUS: Final = 4.2
+FLANGE_RADIUS: Final = 4.155
 WRIST_RADIUS: Final = 4.2  # of the cylinder about the wrist's x axis in which its fork lies
 
 
