@@ -215,22 +215,25 @@ def batch(
             if done.interrupted:
                 break
         doubtful = not done.interrupted and doubt_exchanged({name: each.results for name, each in finished.items()})
-        _report_all(arms, finished, json)
+        _report_all(arms, finished, results, json=json)
         if done.interrupted:
             again = "the same command" if wanted.resume else "the same command without --overwrite"
-            left = f"{done.counts['missing']} of {done.counts['frames']} frames are left"
+            counts = done.document["counts"]
+            left = f"{counts['missing']} of {counts['frames']} frames are left"
             print_error(f"interrupted: {left}; {again} goes on from here")
             return INTERRUPTED
         code = exit_code(result.status for each in finished.values() for result in each.results.values())
         return code or (DOUBTFUL if doubtful else 0)
 
 
-def _report_all(arms: Mapping[str, ArmInSession], finished: Mapping[str, BatchSummary], json: bool) -> None:
+def _report_all(
+    arms: Mapping[str, ArmInSession], finished: Mapping[str, BatchSummary], out: Path, *, json: bool
+) -> None:
     """Print the summaries of all arms."""
     from dvrk_cmaes.joints.commanded import describe_commanded
 
     documents = {name: done.document for name, done in finished.items()}
-    lines = {name: _lines(done.document, done.folder) for name, done in finished.items()}
+    lines = {name: _lines(done.document, out / name) for name, done in finished.items()}
     answer_by_arm(documents, lines, json=json)
     for name, done in finished.items():
         commanded = done.document.get("commanded")

@@ -20,7 +20,7 @@ from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.geometry import Float64, inverse
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.io.output import not_written, written_beside
+from dvrk_cmaes.io.output import not_written, whole_file
 from dvrk_cmaes.results.tracked import TrackView
 
 EXTENSION: Final = ".rrd"
@@ -63,7 +63,7 @@ def rerun_file(path: Path, cameras: Camera | Rig, instrument: Instrument, sessio
         rerun-sdk is not installed.
     """
     rerun = _library()
-    with written_beside(path, "a recording for Rerun") as temporary:
+    with whole_file(path, "a recording for Rerun") as temporary:
         rig = Rig.of(cameras)
         batches = rerun.ChunkBatcherConfig(flush_tick=_LONGEST_BATCH)
         stream = rerun.RecordingStream("dvrk_cmaes", recording_id=session, batcher_config=batches)

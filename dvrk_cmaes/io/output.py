@@ -110,7 +110,7 @@ def _made(folder: Path) -> Iterator[None]:
 
 
 def _files_in(folder: Path) -> list[str]:
-    """Return the names in a folder, without those that commands and file managers write beside theirs."""
+    """Return the names in a folder, without what commands and file managers write on their own."""
     return [name for name in os.listdir(folder) if name not in _IGNORED and not _TEMPORARY.fullmatch(name)]
 
 
@@ -373,8 +373,8 @@ def output(
     command
         The command that writes.
     kept
-        Of a folder that is replaced as a whole, subfolders that stay: beside them it must have no files but those of
-        its run.json, none of which was changed since.
+        Of a folder that is replaced as a whole, subfolders that stay: apart from them it must have no files but those
+        of its run.json, none of which was changed since.
     wait
         Seconds to wait for another command that writes there.
 
@@ -420,7 +420,7 @@ def write_bytes(path: str | Path, data: bytes) -> None:
     DvrkCmaesError
         The disk is full or failing.
     """
-    with _writing(path, "a file"), written_beside(Path(path), "a file") as made:
+    with _writing(path, "a file"), whole_file(Path(path), "a file") as made:
         made.write_bytes(data)
 
 
@@ -433,7 +433,7 @@ def remove(path: Path) -> None:
 
 
 @contextlib.contextmanager
-def written_beside(path: Path, what: str) -> Iterator[Path]:
+def whole_file(path: Path, what: str) -> Iterator[Path]:
     """Give a temporary path with the same extension in the same folder, for a program that writes files itself.
 
     The file is renamed to the target at the end, or removed after an error. ``what`` is named in messages. Errors are

@@ -11,7 +11,7 @@ from typing import Any, Final
 import cv2
 
 from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.io.output import written_beside
+from dvrk_cmaes.io.output import whole_file
 
 _QUIET: Final = "-8"  # FFmpeg's AV_LOG_QUIET
 
@@ -33,7 +33,7 @@ def whole_video(path: Path, size: tuple[int, int], frames_a_second: float) -> It
         OpenCV cannot encode the video.
     """
     quiet_ffmpeg()
-    with written_beside(path, "a video") as temporary:
+    with whole_file(path, "a video") as temporary:
         video = cv2.VideoWriter(str(temporary), cv2.VideoWriter.fourcc(*"mp4v"), frames_a_second, size)
         if not video.isOpened():
             raise DvrkCmaesError(f"{path}: OpenCV cannot write an mp4 video there")

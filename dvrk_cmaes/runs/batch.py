@@ -85,13 +85,10 @@ class Workers:
 class BatchSummary:
     """Summary of a batch run.
 
-    ``folder`` has the results; ``counts`` has the numbers of its frames by status and the number ``missing``; ``ran``
-    is the number of frames estimated by this run. ``document`` is the content of summary.json, ``results`` are all
-    results in the folder by frame.
+    ``ran`` is the number of frames estimated by this run. ``document`` is the content of summary.json, ``results`` are
+    all results in the folder by frame.
     """
 
-    folder: Path
-    counts: dict[str, int]
     ran: int
     interrupted: bool
     document: dict[str, Any]
@@ -162,7 +159,7 @@ def run_batch(
             workers.progress(ran, len(todo), statuses)
         finished = finish(out, timing_of(ran, time.monotonic() - started), method.config.trust)
     document, interrupted = finished.summary or {}, workers.stop.is_set() and ran < len(todo)
-    return BatchSummary(out, document["counts"], ran, interrupted, document, finished.frames)
+    return BatchSummary(ran, interrupted, document, finished.frames)
 
 
 def finish(

@@ -119,7 +119,7 @@ class Pool(Workers):
     count
         Number of processes, each of which is started when there is a task for it.
     here
-        Whether this process does tasks as well, beside the others, with one thread in its libraries.
+        Whether this process does tasks as well as the others, with one thread in its libraries.
 
     Its ``report`` is called with the number of tasks of `values` that are done and of all.
     """
@@ -417,11 +417,11 @@ def single_library_threads() -> Iterator[None]:
 def pool_of(body: Body, workers: int, frames: Sized | None = None) -> Pool:
     """Return processes that have an instrument: of ``frames``, this one and as many others as they pay."""
     start = functools.partial(_prepare, packed(body))
-    return Pool(start, workers) if frames is None else Pool(start, processes_beside(workers, len(frames)), here=True)
+    return Pool(start, workers) if frames is None else Pool(start, further_processes(workers, len(frames)), here=True)
 
 
-def processes_beside(workers: int, frames: int) -> int:
-    """Return the number of processes beside this one with which a calibration is soonest done."""
+def further_processes(workers: int, frames: int) -> int:
+    """Return the number of processes besides this one with which a calibration is soonest done."""
     return min(workers - 1, frames // _PAYS)
 
 

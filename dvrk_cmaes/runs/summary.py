@@ -126,13 +126,12 @@ def _seconds(results: Sequence[Result]) -> dict[str, float] | None:
     }
 
 
-def rig_doubts(results: Iterable[Result], trust: TrustConfig | None = None) -> list[str]:
+def rig_doubts(results: Iterable[Result]) -> list[str]:
     """Say which views of a session contradict the first one, given the results of its frames; empty without any.
 
-    The limits are those of a frame, ``largest_view_deg`` and ``largest_view_sigmas`` of ``trust``.
+    The limits are those of a frame by default.
     """
-    limits = TrustConfig() if trust is None else trust
-    found: list[str] = []
+    limits, found = TrustConfig(), list[str]()
     for name, count, rotation, covariance in rotations_of_views(results):
         angle = float(np.linalg.norm(rotation))
         sigmas = float(np.sqrt(rotation @ np.linalg.solve(covariance, rotation)))

@@ -308,7 +308,7 @@ class TrackedArm:
     def _steps(self, tracker: Tracker, schedule: SolutionSchedule | None) -> Iterator[tuple[FrameFiles, TrackResult]]:
         """Follow the frames; readings are given to the tracker when their time has come.
 
-        ``schedule`` has the tracker's keyframes solved beside the steps. InputError for a wrong file of a frame.
+        ``schedule`` has the tracker's keyframes solved meanwhile. InputError for a wrong file of a frame.
         """
         rig, readings, fed = self.session.rig, self.clock.readings, 0
         for files in self.frames:

@@ -59,7 +59,7 @@ def _seen_frames(arm: TrackedArm) -> Iterator[SeenFrame]:
 
 
 def _size_of_views(rig: Rig) -> tuple[int, int]:
-    """Return width and height, px, of the views of a rig beside each other."""
+    """Return width and height, px, of the views of a rig side by side."""
     cameras = [view.camera for view in rig.views]
     return sum(camera.width for camera in cameras), max(camera.height for camera in cameras)
 

@@ -11,7 +11,7 @@ import pytest
 
 from dvrk_cmaes.io import output
 from dvrk_cmaes.io.atomic import write_json
-from dvrk_cmaes.io.output import write_bytes, written_beside
+from dvrk_cmaes.io.output import whole_file, write_bytes
 
 
 def names(folder: Path) -> list[str]:
@@ -39,9 +39,9 @@ def test_interruption_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_file_of_another_program_is_renamed_when_it_is_complete(tmp_path: Path) -> None:
     target = tmp_path / "new" / "a.mp4"
-    with written_beside(target, "a video") as beside:
-        assert (beside.parent, beside.suffix) == (target.parent, ".mp4")
-        beside.write_bytes(b"whole")
+    with whole_file(target, "a video") as made:
+        assert (made.parent, made.suffix) == (target.parent, ".mp4")
+        made.write_bytes(b"whole")
         assert not target.exists()
     assert target.read_bytes() == b"whole"
     assert names(target.parent) == ["a.mp4"]
@@ -52,8 +52,8 @@ def test_file_of_another_program_is_removed_after_an_error(tmp_path: Path) -> No
     target.write_bytes(b"old")
 
     def fail() -> None:
-        with written_beside(target, "a video") as beside:
-            beside.write_bytes(b"half")
+        with whole_file(target, "a video") as made:
+            made.write_bytes(b"half")
             raise RuntimeError
 
     with pytest.raises(RuntimeError):

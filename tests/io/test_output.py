@@ -17,7 +17,7 @@ import pytest
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.io import output as output_module
 from dvrk_cmaes.io.atomic import write_text
-from dvrk_cmaes.io.output import LONG, Output, check_files, output, remove, written_beside
+from dvrk_cmaes.io.output import LONG, Output, check_files, output, remove, whole_file
 
 FILES = ("frames/a.json", "summary.json")
 
@@ -95,13 +95,13 @@ def test_files_of_the_user_stay(tmp_path: Path) -> None:
 USERS: dict[str, Callable[[Path], None]] = {
     "write": lambda out: write_text(out / "summary.json", "y"),
     "remove": lambda out: remove(out / "summary.json"),
-    "beside": lambda out: _write_beside(out / "summary.json"),
+    "whole file": lambda out: _write_whole(out / "summary.json"),
 }
 
 
-def _write_beside(path: Path) -> None:
-    with written_beside(path, "a file") as beside:
-        beside.write_text("y")
+def _write_whole(path: Path) -> None:
+    with whole_file(path, "a file") as made:
+        made.write_text("y")
 
 
 @pytest.mark.parametrize("does", USERS)

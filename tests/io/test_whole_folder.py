@@ -16,10 +16,10 @@ from dvrk_cmaes.io.output import output, whole_folder
 
 
 def write(out: Path, text: str, *, command: str = "synth", kept: tuple[str, ...] = ()) -> None:
-    with whole_folder(out, command, overwrite=out.exists(), kept=kept) as beside:
-        write_text(beside / "camera.yaml", text)
-        (beside / "images").mkdir(exist_ok=True)
-        (beside / "images" / "0.png").write_text(text)  # as other libraries do
+    with whole_folder(out, command, overwrite=out.exists(), kept=kept) as made:
+        write_text(made / "camera.yaml", text)
+        (made / "images").mkdir(exist_ok=True)
+        (made / "images" / "0.png").write_text(text)  # as other libraries do
 
 
 @pytest.fixture
@@ -84,8 +84,8 @@ def test_folder_of_another_command_stays_as_it_is(out: Path) -> None:
 
 def test_file_that_is_added_while_the_new_folder_is_written_is_kept(out: Path) -> None:
     def overwrite() -> None:
-        with whole_folder(out, "synth", overwrite=True) as beside:
-            (beside / "camera.yaml").write_text("second")
+        with whole_folder(out, "synth", overwrite=True) as made:
+            (made / "camera.yaml").write_text("second")
             add_mask(out)
 
     with pytest.raises(InputError, match=r"masks/0\.png was not written"):
@@ -119,8 +119,8 @@ def test_failure_leaves_the_earlier_folder(out: Path) -> None:
     before = content(out)
 
     def fail() -> None:
-        with whole_folder(out, "synth", overwrite=True) as beside:
-            write_text(beside / "camera.yaml", "half")
+        with whole_folder(out, "synth", overwrite=True) as made:
+            write_text(made / "camera.yaml", "half")
             raise ValueError("half written")
 
     with pytest.raises(InputError, match="half written"):
@@ -135,17 +135,17 @@ def test_folder_that_a_killed_run_left_is_removed_by_the_next_one(tmp_path: Path
             os._exit(0)  # as if killed: nothing is cleaned up
     os.waitpid(child, 0)
     assert len(list((tmp_path / "out").iterdir())) == 2
-    with whole_folder(tmp_path / "out", "synth") as beside:
-        write_text(beside / "camera.yaml", "first")
+    with whole_folder(tmp_path / "out", "synth") as made:
+        write_text(made / "camera.yaml", "first")
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"camera.yaml", "run.json"}
 
 
 def test_folder_that_a_live_run_fills_is_left_to_it(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    with whole_folder(out, "synth") as beside:
+    with whole_folder(out, "synth") as made:
         with pytest.raises(DvrkCmaesError, match="another command is writing there"), ThreadPoolExecutor(1) as other:
             other.submit(write, out, "second").result()
-        write_text(beside / "camera.yaml", "first")
+        write_text(made / "camera.yaml", "first")
     assert (out / "camera.yaml").read_text() == "first"
     assert not list(out.glob(".lock*"))

@@ -82,12 +82,12 @@ def test_failed_frames_are_repeated(batch: Batch, two: Path, tmp_path: Path) -> 
     sound = mask.read_bytes()
     batch(two, "sound")
     mask.write_bytes(b"nonsense")
-    assert batch(two).counts["failed"] == 1
+    assert batch(two).document["counts"]["failed"] == 1
     done = batch(two)
-    assert (done.ran, done.counts["failed"]) == (1, 1)
+    assert (done.ran, done.document["counts"]["failed"]) == (1, 1)
     mask.write_bytes(sound)
     done = batch(two)
-    assert (done.ran, done.counts["failed"]) == (1, 0)
+    assert (done.ran, done.document["counts"]["failed"]) == (1, 0)
     assert comparable(tmp_path / "out") == comparable(tmp_path / "sound")
 
 
@@ -97,11 +97,11 @@ def test_settings_may_change_while_all_frames_have_failed(batch: Batch, two: Pat
     masks = {path: path.read_bytes() for path in (two / "masks").iterdir()}
     for path in masks:
         path.write_bytes(b"nonsense")
-    assert batch(two).counts["failed"] == 2
+    assert batch(two).document["counts"]["failed"] == 2
     for path, data in masks.items():
         path.write_bytes(data)
     done = batch(two, kinematics="si")
-    assert (done.ran, done.counts["failed"]) == (2, 0)
+    assert (done.ran, done.document["counts"]["failed"]) == (2, 0)
     assert comparable(tmp_path / "out") == comparable(tmp_path / "sound")
     assert "arm: si -> classic" in refusal(batch, two)
 
@@ -193,4 +193,4 @@ def test_wrist_readings_that_never_move_are_one_warning_of_all_frames(batch: Bat
         (text,) = [text for text in result.warnings if "never move" in text]
         assert text.startswith("wrist readings never move: wrist_pitch and wrist_yaw constant while the arm moves")
         assert result.config["readings"]["wrist_pitch_deg"] == 2 * EstimateConfig().readings.wrist_pitch_deg
-    assert "wrist readings never move" in (done.folder / "report.html").read_text(encoding="utf-8")
+    assert "wrist readings never move" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")

@@ -101,7 +101,7 @@ def test_killed_worker_does_not_change_results(
     assert cluster.workers[1].wait() == -signal.SIGKILL
     assert cluster.workers[0].poll() is None
     failed = [frame["reasons"] for frame in done.document["frames"].values() if frame["status"] == "failed"]
-    assert (done.ran, done.counts["missing"], failed) == (len(NAMES), 0, [])
+    assert (done.ran, done.document["counts"]["missing"], failed) == (len(NAMES), 0, [])
     with ThreadPoolExecutor(1) as here:
         run_batch(arm, tmp_path / "here", workers=Workers(executor=here))
     assert comparable(tmp_path / "cluster") == comparable(tmp_path / "here")

@@ -31,7 +31,7 @@ from helpers.worker_tasks import (
 )
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.runs.pool import Pool, WorkerDied, processes_beside, run
+from dvrk_cmaes.runs.pool import Pool, WorkerDied, further_processes, run
 
 
 def run_in_pool(
@@ -60,7 +60,7 @@ def test_dead_or_hanging_process_loses_its_task_only(tmp_path: Path) -> None:
     }
     tries = {task: len((tmp_path / str(task)).read_text().split()) for task in range(1, 13)}
     assert (tries[5], tries[7], tries[11]) == (2, 2, 1)
-    assert all(tries[task] <= 3 for task in tries)  # those that were in flight beside 5 and 7
+    assert all(tries[task] <= 3 for task in tries)  # those that were in flight with 5 and 7
     wait_for(lambda: not multiprocessing.active_children())
 
 
@@ -161,7 +161,7 @@ def test_values_are_in_the_order_of_the_tasks() -> None:
 
 @pytest.mark.parametrize(("workers", "frames", "beside"), [(2, 3, 0), (2, 10, 1), (1, 1000, 0), (8, 10, 2)])
 def test_processes_are_as_many_as_pay(workers: int, frames: int, beside: int) -> None:
-    assert processes_beside(workers, frames) == beside
+    assert further_processes(workers, frames) == beside
 
 
 ORPHANS = """

@@ -1,4 +1,4 @@
-"""Rigs that are calibrated wrongly, told from all frames of a session."""
+"""Rigs that are calibrated wrongly, recognised by all frames of a session."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Followed arms that were exchanged, told from their tracks and readings."""
+"""Followed arms that were exchanged, recognised by their tracks and readings."""
 
 from __future__ import annotations
 
