@@ -27,7 +27,7 @@ class Limits:
 
 _SHARE, _SHARE_OR_ZERO = Limits(share=True).metadata, Limits(zero=True, share=True).metadata
 _MAY_BE_ZERO = Limits(zero=True).metadata
-_OF_FOUND_MASKS = 2.0  # least factor of `SessionConfig.shared_errors`
+_OF_ALIKE_MASKS = 2.0  # least factor of `SessionConfig.shared_errors`
 _WIDTH = Limits(least=10, most=10_000).metadata
 
 
@@ -335,7 +335,7 @@ class SessionConfig:
         margin; 0 to count each. Keyframes, which are chosen far from each other, count each.
     shared_errors
         Factor on the standard deviations of what the frames tell of camera and lens, because they share errors of masks
-        and meshes; at least 2 where this program found the masks in images.
+        and meshes; at least 2 where this program found the masks in images, and of the keyframes of a recording.
     test_camera
         Whether the frames test the camera file, which takes a quarter of the time. Keyframes of a recording that is
         followed as it comes do so only once as many as are kept have been solved.
@@ -430,9 +430,9 @@ class EstimateConfig:
         """Return all settings as nested dictionaries."""
         return _as_dict(self)
 
-    def with_found_masks(self) -> EstimateConfig:
-        """Return the settings for a session whose masks this program found in images, which err more alike."""
-        shared = max(self.session.shared_errors, _OF_FOUND_MASKS)
+    def with_alike_masks(self) -> EstimateConfig:
+        """Return the settings for a session whose masks err more alike: found in images, or of one recording."""
+        shared = max(self.session.shared_errors, _OF_ALIKE_MASKS)
         return replace(self, session=replace(self.session, shared_errors=shared))
 
 

@@ -72,7 +72,7 @@ class FolderCalibration:
     def _used(self) -> EstimateConfig:
         """The settings, for masks that were found, if some were."""
         given = all(each.has_mask for each in self.arm.session.frames)
-        return self.arm.method.config if given else self.arm.method.config.with_found_masks()
+        return self.arm.method.config if given else self.arm.method.config.with_alike_masks()
 
     @property
     def _run(self) -> Run[Any, Any]:

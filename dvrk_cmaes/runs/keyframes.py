@@ -252,7 +252,7 @@ def begin_images(
     recorded = _measured(recorded, found)
     if given is not None:
         return Begun.of(_with_colours(RecordedSolution(recorded, given, {}), work, found=found))
-    work = replace(work, config=work.config.with_found_masks())
+    work = replace(work, config=work.config.with_alike_masks())
     begun = _begin_chosen(recorded, _keyframes(recorded, found), work, _FEWEST)
     return begun.then(partial(_with_more_masks, recorded, found, work))
 

@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 
 
 def solved_with(config: EstimateConfig) -> EstimateConfig:
-    """Return the settings with which keyframes are solved: they are far from each other, so each counts."""
-    return replace(config, session=replace(config.session, alike_seconds=0.0))
+    """Return the settings with which keyframes are solved: each counts, and those that are near in time err alike."""
+    return replace(config, session=replace(config.with_alike_masks().session, alike_seconds=0.0))
 
 
 @dataclass(frozen=True, eq=False)
