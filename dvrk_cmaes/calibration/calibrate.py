@@ -242,14 +242,14 @@ def _remarks(arm: ArmSession, used: Sequence[Result], commanded: Sequence[str]) 
 
 def _endoscope(arm: ArmSession, check: CameraCheck) -> SessionEndoscope | None:
     """Return what a session shows of an endoscope that moves; None of one that stands still."""
-    given_camera = replace(arm.solution, of_masks=None).covariance
+    given_camera, stated = replace(arm.solution, of_masks=None).covariance, arm.solution.calibration.stated
     return SessionEndoscope.of(
         arm.model,
         arm.solution.calibration,
         given_camera,
         [frame.name for frame in arm.frames],
         [frame.time for frame in arm.frames],
-        arm.solution.covariance - given_camera + check.covariance,
+        (arm.solution.covariance - given_camera + check.covariance)[:stated, :stated],
     )
 
 

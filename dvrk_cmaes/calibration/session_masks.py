@@ -157,7 +157,7 @@ class SessionMasks(Document):
     by_errors: tuple[tuple[Number, ...], ...] = ()
 
     @classmethod
-    def of(cls, margin: Margin, bias: BiasEstimate | None = None) -> SessionMasks:
+    def of(cls, margin: Margin, bias: BiasEstimate | None, unknowns: int) -> SessionMasks:
         """State the margin, and the errors that frames share."""
         stated = cls(margin.px, margin.std_px, margin.applied)
         if bias is None:
@@ -167,7 +167,7 @@ class SessionMasks(Document):
             bias_px=tuple(bias.px.tolist()),
             rms_bias_px=tuple(np.sqrt(np.diag(bias.squares)[1:]).tolist()),
             error_squares=_rows(bias.squares),
-            by_errors=_rows(bias.of_calibration),
+            by_errors=_rows(bias.of_calibration[:unknowns]),
         )
 
     @property

@@ -30,7 +30,7 @@ from dvrk_cmaes.calibration.endoscope import Pieces
 from dvrk_cmaes.calibration.endoscope_search import describe_pieces, find_pieces
 from dvrk_cmaes.calibration.frame_fit import FrameFit, first_starts, next_starts
 from dvrk_cmaes.calibration.frame_task import Run, SessionFrame, fit_task, gather_task, with_changed_cameras
-from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, SessionLag, in_common, refine_lag
+from dvrk_cmaes.calibration.lag import LAG, NO_READINGS_AT_LAG, SessionLag, in_common
 from dvrk_cmaes.calibration.linearise import ArmOutlines, SessionOutlines
 from dvrk_cmaes.calibration.model import Deviations, SessionModel
 from dvrk_cmaes.calibration.session_camera import (
@@ -210,7 +210,8 @@ class ArmSession:
     @property
     def masks(self) -> SessionMasks | None:
         """What is stated of errors that the masks share; None if their margin was not estimated."""
-        return None if self.margin is None else SessionMasks.of(self.margin, self.bias)
+        unknowns = self.solution.calibration.stated
+        return None if self.margin is None else SessionMasks.of(self.margin, self.bias, unknowns)
 
     @property
     def taken_off(self) -> float:
@@ -220,8 +221,7 @@ class ArmSession:
     @property
     def common(self) -> CommonErrors:
         """The errors that the frames share."""
-        by_lag = self.lag.change_of_predictions(self.model, self.solution.calibration)
-        return CommonErrors(self.times, by_lag, self.setup.config.session.alike_seconds)
+        return CommonErrors(self.times, self.setup.config.session.alike_seconds)
 
     def outlines(self, *, keep_all: bool = False) -> FrameFits:
         """Return the current fits; without the outlines that do not explain the mask, unless ``keep_all``."""
@@ -461,7 +461,7 @@ def _estimated(arms: Arms, *, keep_all: bool, last: bool) -> Arms:
         arms = [_with_cables(arm, own, MARGIN if last else 0.0) for arm, own in zip(arms, fits, strict=True)]
         if any(arm.cables is not None and arm.cables[0].parts for arm in arms):
             arms = _with_variances(arms, fits)
-    return _with_refined_lags(arms, fits)
+    return _with_moved_lags(arms)
 
 
 def _with_variances(arms: Arms, fits: Sequence[FrameFits]) -> Arms:
@@ -470,7 +470,8 @@ def _with_variances(arms: Arms, fits: Sequence[FrameFits]) -> Arms:
     for arm in arms:
         own = Deviations.of(session, arm.model.names)
         usual.append(own if arm.cables is None else arm.cables[0].deviations(own))
-    frames = [ArmFrames(arm.model, own, arm.calibration) for arm, own in zip(arms, fits, strict=True)]
+    with_lag = [arm.lag.with_block(arm.model, arm.calibration) for arm in arms]
+    frames = [ArmFrames(model, own, at) for (model, at), own in zip(with_lag, fits, strict=True)]
     models, solutions = solve_with_variances(frames, session, usual)
     each = zip(arms, models, solutions, strict=True)
     return [replace(arm, model=model, found=own) for arm, model, own in each]
@@ -485,22 +486,18 @@ def _with_cables(arm: ArmSession, fits: FrameFits, margin: float) -> ArmSession:
     return replace(arm, cables=cables, model=model)
 
 
-def _with_refined_lags(arms: Arms, fits: Sequence[FrameFits]) -> Arms:
-    """Refine the lags that are taken out; one at which a frame would have no readings is not taken."""
-    together: list[list[int]] = [[k] for k, arm in enumerate(arms) if arm.lag.alone]
-    together.append([k for k, arm in enumerate(arms) if not arm.lag.alone])
-    lags = [arm.lag for arm in arms]
-    for members in together:
-        refined = [k for k in members if lags[k].applied is not None and not lags[k].fixed]
-        if not refined:
+def _with_moved_lags(arms: Arms) -> Arms:
+    """Take the lags out that were found; one that arms share only if all frames have readings then."""
+    lags = [arm.lag.after(arm.solution) if LAG in arm.solution.calibration.values else arm.lag for arm in arms]
+    stays = any(lag is arm.lag and not lag.alone for lag, arm in zip(lags, arms, strict=True))
+    out = []
+    for arm, lag in zip(arms, lags, strict=True):
+        if lag is arm.lag or (stays and not lag.alone):
+            out.append(arm)
             continue
-        late = [(lags[k], ArmFrames(arms[k].model, fits[k], arms[k].solution.calibration)) for k in refined]
-        found = refine_lag(late, lags[refined[0]].value)
-        new = [lags[k].with_estimate(found) for k in refined]
-        if all(lag.all_have_readings for lag in new):
-            for k, lag in zip(refined, new, strict=True):
-                lags[k] = lag
-    return [replace(arm, lag=lag, model=lag.corrected(arm.model)) for arm, lag in zip(arms, lags, strict=True)]
+        at = arm.solution.calibration if lag.applied is None else arm.solution.calibration.with_blocks(lag=np.zeros(1))
+        out.append(replace(arm, lag=lag, model=lag.corrected(arm.model), found=replace(arm.solution, calibration=at)))
+    return out
 
 
 def _by_camera(arms: Arms) -> list[list[int]]:
