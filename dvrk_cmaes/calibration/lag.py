@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from dvrk_cmaes.calibration.blocks import Calibration, PredictedBlock
-from dvrk_cmaes.calibration.consensus import IMPROVEMENT, Consensus, Mode, find_consensus
+from dvrk_cmaes.calibration.consensus import Consensus, Mode, find_consensus
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.solve import Solved
@@ -39,9 +39,9 @@ UNLIKELY: Final = 1.5
 MOVE: Final = "a recording in which the arm moves quickly would determine it"
 NO_READINGS_AT_LAG: Final = "no readings once the lag is taken out"
 """Why a frame is left out."""
-POSTURES: Final = (
-    "the rows have no times, and readings jump from row to row, as those of postures: none is looked for unless --lag "
-    "auto asks for it; give times of a recording"
+NOT_INTERPOLABLE: Final = (
+    "the readings jump from row to row, as those of postures or of frames picked from a recording: give all rows of "
+    "the recording, with times"
 )
 """Why no lag is looked for."""
 
@@ -172,23 +172,19 @@ class SessionLag:
     """The readings of an arm's N frames at any lag of the images, and what is known of the lag.
 
     ``series`` are all readings, None where the frames have no order; ``times`` (N,) those of the frames' images on its
-    clock, ``middle`` the middle of the times of all frames. ``interpolable`` says whether the readings may be
-    interpolated, because the rows follow each other closely in time. ``step`` is that of the search, in the unit of the
-    series; for readings that cannot be interpolated it is the time between their rows, None if that is not constant.
+    clock. ``interpolable`` says whether the readings may be interpolated, because the rows follow each other closely in
+    time, as none of postures do; a lag is looked for in such readings only. ``step`` is that of the search, in the unit
+    of the series.
 
     ``lag`` is None where it is not determined, and ``undetermined`` then says why; ``curve`` is the disagreement of the
-    frames as a function of the lag, ``nowhere`` says that they agree at none. ``fixed`` says that the lag was given,
-    or is not looked for: neither is it searched nor refined. ``alone`` says that the other arms of the session have
-    another one.
-
-    Values (2,) of a lag are that in the middle of the frames, in the unit of the series, and its change by time.
+    frames as a function of the lag, ``nowhere`` says that they agree at none. ``fixed`` says that the lag was given:
+    it is neither searched nor refined. ``alone`` says that the other arms of the session have another one.
     """
 
     series: ReadingSeries | None
     times: Float64
-    middle: float = 0.0
     interpolable: bool = False
-    step: float | None = None
+    step: float = 1.0
     lag: Lag | None = None
     undetermined: str = ""
     nowhere: bool = False
@@ -202,7 +198,7 @@ class SessionLag:
         series: ReadingSeries | None,
         names: Sequence[str],
         outer_std: Float64,
-        given: Lag | Literal["auto"] | None = None,
+        given: Lag | None = None,
     ) -> SessionLag:
         """Return what is known before anything is estimated.
 
@@ -215,8 +211,7 @@ class SessionLag:
         outer_std
             (4,), of the readings of the outer joints.
         given
-            The lag that is taken out, and neither searched nor refined; ``auto`` to look for it in readings without
-            times that jump from row to row, too, which are those of postures and no recording.
+            The lag that is taken out, and neither searched nor refined.
 
         Raises
         ------
@@ -228,21 +223,19 @@ class SessionLag:
         low, high = RANGE[series.unit]
         postures = series.unit == "frames" and series.jumps(OUTER_JOINTS, _ROUGH * outer_std)
         interpolable = not postures and series.is_interpolable(OUTER_JOINTS, _ROUGH * outer_std)
-        fine = max(min(_STEP[series.unit], series.interval), (high - low) / (_MOST_STEPS - 1))
-        step = fine if interpolable else series.spacing(OUTER_JOINTS[0])
-        times = np.array([series.frames[name] for name in names])
-        found = cls(series, times, float(times.min() + times.max()) / 2, interpolable, step)
-        if isinstance(given, Lag):
+        step = max(min(_STEP[series.unit], series.interval), (high - low) / (_MOST_STEPS - 1))
+        found = cls(series, np.array([series.frames[name] for name in names]), interpolable, step)
+        if given is not None:
             value = given.in_unit(series.unit)
             lag = Lag.of(value, 0.0, series.unit, series.interval, applied=value != 0)
             return replace(found, lag=lag, fixed=True)
-        return replace(found, undetermined=POSTURES, fixed=True) if postures and given is None else found
+        return found if interpolable else replace(found, undetermined=NOT_INTERPOLABLE)
 
     @classmethod
-    def _without_order(cls, frames: int, given: Lag | Literal["auto"] | None) -> SessionLag:
+    def _without_order(cls, frames: int, given: Lag | None) -> SessionLag:
         """Return that of frames without an order, of which only a lag of zero may be given."""
         times = np.full(frames, np.nan)
-        if isinstance(given, Lag):
+        if given is not None:
             if given.frames or given.seconds:
                 raise InputError(
                     "lag: expected readings of numbered frames, or times of images and readings, got neither"
@@ -291,7 +284,7 @@ class SessionLag:
 
     def has_readings_near(self) -> Bool:
         """Whether each frame has readings at the lag that is taken out, and half a step of the search around it."""
-        reach = (self.step or 0.0) / 2 if self.interpolable else 0.0
+        reach = self.step / 2 if self.interpolable else 0.0
         return np.asarray(self.has_readings(self.value - reach) & self.has_readings(self.value + reach))
 
     def corrected(self, model: SessionModel) -> SessionModel:
@@ -395,7 +388,7 @@ class SessionLag:
         """
         if not self.interpolable or self.fixed or self.nowhere:
             return model, calibration
-        interval, by = self._known.interval, _LEAST_STEP * (self.step or 0.0)
+        interval, by = self._known.interval, _LEAST_STEP * self.step
         std = max(self.known[1], _LEAST_PRIOR * interval) if self.known else _UNDETERMINED * interval
         if self.curve is not None:
             std = max(std, self.curve.root_mean_square(len(self.times), _UNKNOWN * interval, self.value))
@@ -412,7 +405,7 @@ class SessionLag:
 
         It stays as it is where a frame would have no readings.
         """
-        place, reach = solution.calibration.place(LAG), (self.step or 0.0) / 2
+        place, reach = solution.calibration.place(LAG), self.step / 2
         expected = _SHARED_ERRORS**2 * np.linalg.inv(solution.information)[place, place]
         std = np.sqrt(np.maximum(expected, solution.covariance[place, place])).item()
         value = self.value + float(np.clip(solution.calibration.values[LAG][0], -reach, reach))
@@ -423,7 +416,7 @@ class SessionLag:
 
     def searched(self, model: SessionModel, modes: Sequence[Sequence[Mode]]) -> SessionLag:
         """Find the lag from the frames' own modes; arguments as in `find_consensus`."""
-        if self.series is None or self.fixed:
+        if not self.interpolable or self.fixed:
             return self
         found, best = self._search(model, modes)
         return found if best is None else found.with_estimate(found._at_minimum(best))
@@ -431,9 +424,7 @@ class SessionLag:
     def _at_minimum(self, best: float) -> Refined | None:
         """Return the lag at the minimum of the curve, by a parabola through three points."""
         assert self.curve is not None
-        step, lags, misfit = self.step or 0.0, self.curve.lags, self.curve.misfit
-        if not self.interpolable:
-            return Refined(best, step / np.sqrt(12))
+        step, lags, misfit = self.step, self.curve.lags, self.curve.misfit
         at = int(np.abs(lags - best).argmin())
         if not 0 < at < len(lags) - 1:
             return None
@@ -448,39 +439,26 @@ class SessionLag:
         """Find the lag at which the frames' modes agree best; None with the reason where they do not determine it.
 
         Where they agree at no lag of the usual range, the far range is searched too. The lag is not determined by too
-        few frames, nor if the best lag is at the end of the range, or the frames agree at none. Readings that cannot be
-        interpolated must be at regular times, and the lag must halve the mean misfit.
+        few frames, nor if the best lag is at the end of the range, or the frames agree at none.
         """
         if len(modes) < _LEAST_FRAMES:
             text = f"{len(modes)} frames have a pose and readings, at least {_LEAST_FRAMES} are needed"
             return replace(self, undetermined=text), None
-        if self.step is None:
-            text = (
-                "the readings are too far apart in time to be interpolated, and at uneven times: give all rows of the "
-                "recording, not only those of the frames"
-            )
-            return replace(self, undetermined=text), None
         unit, step, ends = self._known.unit, self.step, tuple[float, ...]()
         low, high = RANGE[unit]
         lags, costs = self._costs(model, modes, low, high, step)
-        if self.interpolable and not costs.min() <= _DISAGREE:
+        if not costs.min() <= _DISAGREE:
             low, high = -FARTHEST[unit], FARTHEST[unit]
             coarse, far = self._costs(model, modes, low, high, _COARSE * step)
             if far.min() < costs.min() / UNLIKELY:
                 about, ends = float(coarse[far.argmin()]), (low, high)
                 near = max(low, about - _COARSE * step), min(high, about + _COARSE * step)
                 lags, costs = self._costs(model, modes, *near, step)
-        best, synchronous = int(np.argmin(costs)), int(np.argmin(np.abs(lags)))
+        best = int(np.argmin(costs))
         pairs = zip(lags.tolist(), costs.tolist(), strict=True)
         found = replace(self, curve=LagCurve(unit, tuple((lag, cost) for lag, cost in pairs if np.isfinite(cost))))
         if not np.isfinite(costs[best]):
             return replace(found, undetermined="too few frames have readings at any lag"), None
-        if not self.interpolable and best != synchronous and costs[best] > IMPROVEMENT * costs[synchronous]:
-            text = (
-                "the readings are too far apart in time to be interpolated, and no lag of whole rows is much better "
-                "than none: give all rows of the recording"
-            )
-            return replace(found, undetermined=text), None
         at_end = min((abs(lags[best] - end) for end in ends), default=np.inf) < _COARSE * step
         nowhere = (at_end or costs[best] > _DISAGREE) if ends else bool(costs[best] > _NOWHERE)
         if nowhere:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 
@@ -83,10 +83,7 @@ _ROUNDS = 4  # in which frames and blocks are estimated in turn
 _NEAR = 1.0  # standard deviations per parameter, by which fits move to where the last solution expects them
 _CAMERA_PASSES = 2  # linearisations of the outlines about the camera between two fits of the frames
 _MOST_NAMED = 4
-_TO_TRY = (
-    "try another --instrument, --tool or --arm, other readings, the lag of all rows of the recording, or --lag auto "
-    "for postures whose rows have no times"
-)
+_TO_TRY = "try another --instrument, --tool or --arm, other readings, or the lag of all rows of the recording"
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,8 +95,8 @@ class ArmSetup:
     applies a function to many tasks, ``progress`` is called before each stage with its name and the number of frames.
     ``refine_camera`` is whether the change of the camera that the frames fit is used, ``guessed_camera`` whether the
     frames' camera is a guess, of which there is no file. ``may_cut`` is whether the session may be cut into pieces
-    between which the base moved. ``lag`` is the one that is taken out of the readings, ``auto`` to look for it in those
-    of postures, too, as of `SessionLag.of`. ``gathered`` keeps the frames' evidence by name, for all solutions.
+    between which the base moved. ``lag`` is the one that is taken out of the readings, None to look for it.
+    ``gathered`` keeps the frames' evidence by name, for all solutions.
     """
 
     series: ReadingSeries | None
@@ -111,7 +108,7 @@ class ArmSetup:
     refine_camera: bool = False
     guessed_camera: bool = False
     may_cut: bool = True
-    lag: Lag | Literal["auto"] | None = None
+    lag: Lag | None = None
     gathered: dict[str, StoredFrame] = field(default_factory=dict)
 
 
