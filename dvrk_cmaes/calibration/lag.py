@@ -60,8 +60,6 @@ _NOWHERE = 3.0  # mean misfit from which on most frames disagree, and the best l
 _COARSE = 3  # steps of the search, in each of the far one: the misfit falls over many times as much
 # what a curve shows
 _FREEDOM_OF_A_FRAME = 1.25  # degrees of freedom, of 5 of its pose: frames of a recording share errors
-_FLAT = 1.0  # steps of the curve: root mean square of what it allows, from which on it hardly determines a lag
-_OF_A_LAG, _OF_NONE = 0.5, 0.7  # of that, least standard deviation of a lag, and of none
 _UNDETERMINED, _UNKNOWN = 2.0, 3.0  # frames, least and largest standard deviation of a lag that is not determined
 # the block
 _SHARED_ERRORS = 2.0  # factor on the standard deviation: the frames of a recording share errors of masks and readings
@@ -134,30 +132,6 @@ class LagCurve(Document):
         squares = _FREEDOM_OF_A_FRAME * frames * (self.misfit - self.misfit.min())
         weights = np.exp(-0.5 * (squares + (self.lags / unknown) ** 2))
         return float(min(np.sqrt(weights @ (self.lags - about) ** 2 / weights.sum()), np.hypot(unknown, about)))
-
-    def least_std(self, frames: int, unknown: float, value: float, *, applied: bool) -> float:
-        """Return the least standard deviation of a lag, in the unit of the curve: 0 where the curve shows the lag.
-
-        Where the curve is flat, as of few frames that follow each other closely, errors that the frames share displace
-        its minimum.
-
-        Parameters
-        ----------
-        frames
-            Number of frames of which the curve is.
-        unknown
-            Standard deviation of the lag beforehand, in the unit of the curve.
-        value
-            The lag, in the unit of the curve.
-        applied
-            Whether it differs from none.
-        """
-        if len(self.lags) < 2:
-            return 0.0
-        allowed = self.root_mean_square(frames, unknown, value)
-        if allowed <= _FLAT * float(np.diff(self.lags).max()):
-            return 0.0
-        return allowed * (_OF_A_LAG if applied else _OF_NONE)
 
 
 class Refined(NamedTuple):

@@ -18,7 +18,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.blocks import Calibration, OutlineOfView, SeenBlock, ViewAsSeen
 from dvrk_cmaes.calibration.linearise import ArmOutlines, Linearised, linearise
-from dvrk_cmaes.calibration.solve import ArmFrames, marginalise, solve_arms, solve_unchanged
+from dvrk_cmaes.calibration.solve import ArmFrames, marginalise, solve_arms
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import Float64, Posed, apply
 from dvrk_cmaes.instrument import Instrument
@@ -232,7 +232,7 @@ def estimate_margin(arms: Sequence[ArmOutlines]) -> tuple[Margin, list[Calibrati
     returns the calibration and the poses (N) of each arm with masks less the margin, if it is clear, and the camera of
     the file: a change of the camera that is estimated beside the margin is not used.
     """
-    there = linearise(arms, solve_unchanged, [MARGIN], passes=_PASSES)[0]
+    there = linearise(arms, None, [MARGIN], passes=_PASSES)[0]
     (std,) = (float(there.std(one)[0]) for one in arms[0].outlines.blocks if one.name == MARGIN)
     margin = Margin.of(float(there.value(MARGIN)[0]), std)
     at, calibrations = [arm.at for arm in arms], [arm.calibration for arm in arms]

@@ -29,7 +29,7 @@ from dvrk_cmaes.calibration.endoscope_search import describe_pieces, find_pieces
 from dvrk_cmaes.calibration.frame_fit import FrameFit, first_starts, next_starts
 from dvrk_cmaes.calibration.frame_task import Run, SessionFrame, fit_task, gather_task, with_changed_cameras
 from dvrk_cmaes.calibration.lag import LAG, NO_READINGS_AT_LAG, SessionLag, in_common
-from dvrk_cmaes.calibration.linearise import ArmOutlines, SessionOutlines
+from dvrk_cmaes.calibration.linearise import ArmOutlines, SessionOutlines, linearise
 from dvrk_cmaes.calibration.model import Deviations, SessionModel
 from dvrk_cmaes.calibration.session_camera import (
     CAMERA,
@@ -39,7 +39,6 @@ from dvrk_cmaes.calibration.session_camera import (
     Lens,
     camera_undetermined,
     check_camera,
-    estimate_camera,
     file_deviations,
 )
 from dvrk_cmaes.calibration.session_masks import (
@@ -51,7 +50,7 @@ from dvrk_cmaes.calibration.session_masks import (
     estimate_margin,
 )
 from dvrk_cmaes.calibration.session_rig import ViewRotation
-from dvrk_cmaes.calibration.session_shaft import InstrumentSizes
+from dvrk_cmaes.calibration.session_shaft import SIZES, InstrumentSizes
 from dvrk_cmaes.calibration.solve import (
     ArmFrames,
     FrameFits,
@@ -492,7 +491,7 @@ def _with_camera(arms: Arms) -> Arms:
     out = list(arms)
     for group in _by_camera(arms):
         seen = [_as_outlines(arms[k], arms[k].view_as_blocks()) for k in group]
-        estimates = estimate_camera(seen, arms[group[0]].setup.config, passes=_CAMERA_PASSES)
+        estimates = linearise(seen, arms[group[0]].setup.config.session, (CAMERA, SIZES), passes=_CAMERA_PASSES)
         found = all(estimate.plausible for estimate in estimates)
         for k, own in zip(group, estimates, strict=True):
             out[k] = replace(arms[k], camera_found=found)

@@ -7,7 +7,7 @@ frames share, as of the camera. Frames with large misfits are down-weighted.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -247,10 +247,6 @@ def marginalise(model: SessionModel, fits: FrameFits, calibration: Calibration) 
     return eliminate(fits.outlines, predicted, information, calibration.further - fits.further)
 
 
-Solver = Callable[[Sequence[ArmFrames]], tuple[list[SessionModel], list[Solved]]]
-"""Estimates the calibrations of arms from their frames, as `solve_arms`; the models may change."""
-
-
 def solve(model: SessionModel, fits: FrameFits, start: Calibration) -> Solved:
     """Estimate the calibration of an arm by itself, as `solve_arms`."""
     return solve_arms([ArmFrames(model, fits, start)])[0]
@@ -277,11 +273,6 @@ def solve_arms(arms: Sequence[ArmFrames], *, steps: int = MOST_STEPS) -> list[So
         if step @ whole.information @ step < 1e-6 * len(step):
             break
     return solutions
-
-
-def solve_unchanged(arms: Sequence[ArmFrames]) -> tuple[list[SessionModel], list[Solved]]:
-    """Estimate the calibrations as `solve_arms`, and return the models as they were, too."""
-    return [arm.model for arm in arms], solve_arms(arms)
 
 
 def solve_with_modes(model: SessionModel, modes: Sequence[Sequence[Mode]], start: Calibration) -> Solved:
