@@ -278,7 +278,8 @@ class ArmSession:
     def camera_refused(self, reason: str) -> InputError:
         """Return the refusal to find the camera of a session that does not determine it."""
         if self.setup.guessed_camera:
-            return InputError(f"--camera: expected a camera file, which these frames do not replace: {reason}")
+            needed = "--camera: expected a camera file, which these frames do not replace"
+            return InputError(f"{needed}: {reason} (dvrk-cmaes help uncalibrated)")
         return InputError(f"--refine-camera: {reason}")
 
 

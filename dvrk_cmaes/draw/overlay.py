@@ -8,6 +8,7 @@ strip below gives the legend, and the joints with their readings.
 
 from __future__ import annotations
 
+from collections.abc import Container
 from dataclasses import dataclass
 
 import cv2
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.draw.canvas import AXES, DARK, GREY, Canvas, plain
+from dvrk_cmaes.draw.canvas import AXES, DARK, GREY, Canvas, Colour, plain
 from dvrk_cmaes.draw.panels import FOUND, MASK, PROJECTED, SILHOUETTE, SKELETON, STEADY, footer, header
 from dvrk_cmaes.draw.projection import found_edges, projected_axes, projected_edges, skeleton_lines
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
@@ -74,11 +75,12 @@ def draw_overlay(
     canvas = frame.canvas
     if ignore is not None:
         _hatch(canvas, frame.enlarged(ignore))
+    absent: set[Colour] = set()
     if result.camera_from_root is None:
         canvas.outline(frame.enlarged(mask), MASK)
     else:
-        _draw_pose(frame, result, mask, body, evidence, result.camera_from_root)
-    return _between_strips(result, canvas)
+        absent = _draw_pose(frame, result, mask, body, evidence, result.camera_from_root)
+    return _between_strips(result, canvas, absent)
 
 
 def draw_failed(result: Result, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -86,9 +88,10 @@ def draw_failed(result: Result, picture: NDArray[np.uint8]) -> NDArray[np.uint8]
     return _between_strips(result, _canvas(picture.shape[:2], picture))
 
 
-def _between_strips(result: Result, canvas: Canvas) -> NDArray[np.uint8]:
+def _between_strips(result: Result, canvas: Canvas, absent: Container[Colour] = ()) -> NDArray[np.uint8]:
     width = canvas.image.shape[1]
-    return np.concatenate([header(result, width, canvas.unit), canvas.image, footer(result, width, canvas.unit)])
+    below = footer(result, width, canvas.unit, absent)
+    return np.concatenate([header(result, width, canvas.unit), canvas.image, below])
 
 
 def _canvas(shape: tuple[int, ...], image: NDArray[np.uint8]) -> Canvas:
@@ -150,7 +153,10 @@ class FrameCanvas:
         return line, tips
 
 
-def _draw_pose(frame: FrameCanvas, result: Result, mask: Bool, body: Body, evidence: Evidence, pose: Float64) -> None:
+def _draw_pose(
+    frame: FrameCanvas, result: Result, mask: Bool, body: Body, evidence: Evidence, pose: Float64
+) -> set[Colour]:
+    """Draw a pose, and return the colours of what there is none of: stretches that are off, edges and tips found."""
     canvas, camera, instrument = frame.canvas, frame.camera, body.instrument
     joints = np.array([result.joints[name] for name in instrument.joint_names])
     silhouette = frame.silhouette(body, pose, joints)
@@ -159,7 +165,8 @@ def _draw_pose(frame: FrameCanvas, result: Result, mask: Bool, body: Body, evide
     canvas.tint(silhouette & ~seen, SILHOUETTE, 0.5)
     canvas.outline(seen, MASK)
     canvas.outline(silhouette, SILHOUETTE)
-    for stretch in _steady_stretches(evidence, silhouette, frame):
+    stretches = _steady_stretches(evidence, silhouette, frame)
+    for stretch in stretches:
         canvas.line(stretch, STEADY, width=3.0)
 
     for edge in projected_edges(instrument, pose, camera):
@@ -174,6 +181,8 @@ def _draw_pose(frame: FrameCanvas, result: Result, mask: Bool, body: Body, evide
     for tip in [] if evidence.tips is None else evidence.tips:
         canvas.cross(frame.at(tip), FOUND)
     _axes(frame, pose)
+    found = evidence.shaft_edges or evidence.tips is not None
+    return {colour for colour, drawn in ((STEADY, stretches), (FOUND, found)) if not drawn}
 
 
 def _steady_stretches(evidence: Evidence, silhouette: Bool, frame: FrameCanvas) -> list[Float64]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
+
 import numpy as np
 
 from dvrk_cmaes.draw.canvas import (
@@ -32,7 +34,6 @@ _LEGEND = (
     ("those of the pose", PROJECTED),
     ("skeleton", SKELETON),
     ("root axes", GREY),
-    *AXES,
 )
 _MOST_REASONS = 4
 
@@ -61,9 +62,13 @@ def header(result: Result, width: int, unit: float) -> Image:
     return strip(width, unit, [first, *([(text, colour)] for text in reasons)])
 
 
-def footer(result: Result, width: int, unit: float) -> Image:
-    """Draw the strip with the legend, of a result with a pose, and the joints; arguments as of `header`."""
-    legend = () if result.camera_from_root is None else _LEGEND
+def footer(result: Result, width: int, unit: float, absent: Container[Colour] = ()) -> Image:
+    """Draw the strip with the legend, of a result with a pose, and the joints; other arguments as of `header`.
+
+    The legend leaves out what has one of the ``absent`` colours.
+    """
+    shown = [(name, colour) for name, colour in _LEGEND if colour not in absent]
+    legend = () if result.camera_from_root is None else (*shown, *AXES)
     return strip(width, unit, [legend, [(_joint(result, name), WHITE) for name in result.joints]])
 
 

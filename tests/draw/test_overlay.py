@@ -44,6 +44,14 @@ def result(pose: np.ndarray | None = POSE, **changes: object) -> Result:
     return replace(one, **changes)  # type: ignore[arg-type]
 
 
+def test_legend_leaves_out_what_is_not_drawn(bundled_body: Body) -> None:
+    """In a mask without a shaft no edges of it are found."""
+    mask, round_ = true_mask(bundled_body, PINHOLE), np.hypot(*np.mgrid[-240:240, -320:320]) < 30
+    shown = [draw_overlay(result(), each, PINHOLE, bundled_body) for each in (mask, round_)]
+    legends = [overlay[-round(52 * overlay.shape[1] / 1280) :] for overlay in shown]
+    assert [count(legend, ORANGE) > 0 for legend in legends] == [True, False]
+
+
 def true_mask(body: Body, camera: Camera, pose: np.ndarray = POSE) -> np.ndarray:
     return Renderer(body, camera, threads=1).masks(pose[None], np.array([list(JOINTS.values())]))[0]
 
