@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from dvrk_cmaes.cli.options import TWIN, CalibrationOptions, ReadingOptions, joint_files, load_tool
 from dvrk_cmaes.cli.terminal import Line, answer, frames_text, note, show, warn
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.cli.options import SessionOptions
     from dvrk_cmaes.frames.session_toml import ToolEntry
-    from dvrk_cmaes.frames.video_frames import Video
     from dvrk_cmaes.geometry import Float64
     from dvrk_cmaes.results.result import Result
     from dvrk_cmaes.runs.frame import ArmInSession
@@ -31,17 +30,16 @@ def read_arms(
     single: bool = False,
     joints: Sequence[Path] | None = (),
     reading: ReadingOptions = ReadingOptions(),
-    video: Video | None = None,
     labelled: bool = False,
     ahead: bool = True,
-    focal: float | Literal["usual"] | None = None,
+    **more: Any,
 ) -> dict[str, ArmInSession]:
     """Describe the arms of a session, or those asked for, by folder of results: what each sees, and how it is solved.
 
     That folder is the arm's name, or "" if the session has one tool: its results are in the folder itself. What
     session.toml says counts where the command line says nothing.
 
-    ``single``: whether the command works on one arm. ``joints``, ``video`` and ``focal`` are as in `read_session`.
+    ``single``: whether the command works on one arm. ``joints`` and ``more`` are as in `read_session`.
     ``labelled``: whether masks of labels may be in the folder labels, as they may where session.toml names a label.
     With ``ahead``, texts and borders over the images are looked for.
 
@@ -64,8 +62,7 @@ def read_arms(
         "camera": camera.camera,
         "rectified": camera.rectified,
         "side": camera.side,
-        "video": video,
-        "focal": focal,
+        **more,
         "masks": labels if labelled and labels.is_dir() and not (folder / "masks").exists() else None,
     }
     calibrated.check_for([tool.arm for tool in chosen])
