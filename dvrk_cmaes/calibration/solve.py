@@ -13,7 +13,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.autocorrelated_errors import CommonErrors, frames_alike
 from dvrk_cmaes.calibration.blocks import Calibration
@@ -96,12 +95,6 @@ class FrameFits:
         own = self.outlines.dimension - len(self.further)
         information = self.outlines.information[:, :own, :own]
         return np.asarray(np.linalg.pinv(information, rcond=1e-9, hermitian=True), dtype=np.float64)
-
-    def subset(self, index: list[int] | NDArray[np.integer]) -> FrameFits:
-        """Return the fits of the frames at some indices."""
-        outlines = self.outlines.select([int(i) for i in index])
-        shares = np.broadcast_to(self.shares, len(self.at))[index]
-        return FrameFits(self.at[index], outlines, self.seen, shares)
 
 
 class ArmFrames(NamedTuple):
