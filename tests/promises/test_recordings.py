@@ -68,7 +68,7 @@ def test_recording_is_followed_and_states_its_errors(kept: Kept) -> None:
     ran = kept("track", session, "--out", OUT)
     found, true = tracks(ran.folder), truth(session)
     assert list(found) == list(true)
-    assert check(found, true) < 1.2
+    assert check(found, true) < 0.3
     assert np.mean([row["status"] == "ok" for row in found.values()]) > 0.9
     document = json.loads((ran.folder / "session.json").read_text())
     lag = document["lag"]
@@ -110,8 +110,8 @@ def test_known_calibration_is_used_from_the_first_frame(kept: Kept) -> None:
     session = synth(kept, *ONE)
     calibration = kept("track", session, "--out", OUT).folder / "session.json"
     found = tracks(kept("track", session, "--session", calibration, "--causal", "--out", OUT, *PLAIN).folder)
-    assert check(found, truth(session)) < 1.5
-    assert np.mean([row["status"] == "ok" for row in found.values()]) > 0.7
+    assert check(found, truth(session)) < 0.3
+    assert np.mean([row["status"] == "ok" for row in found.values()]) > 0.9
 
 
 def test_instrument_is_lost_and_found_again(kept: Kept, tmp_path: Path) -> None:
