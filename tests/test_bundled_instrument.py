@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ import pytest
 import trimesh
 from helpers.places import SCRIPTS, bundled_path
 
-from dvrk_cmaes import Body, Camera, Renderer, load_instrument, prepare
+from dvrk_cmaes import Body, Camera, Instrument, Renderer, load_instrument, prepare
 
 INSTRUMENTS = bundled_path("instruments")
 FOLDER = INSTRUMENTS / "lnd"
@@ -138,10 +139,18 @@ def poses_around(count: int) -> np.ndarray:
     return poses
 
 
+def with_tube_of_real_radius(instrument: Instrument) -> Instrument:
+    """A dVRK description whose tube, drawn with a radius of 4.37 mm, has that of a real one, 4.07 mm."""
+    roll, *others = instrument.links
+    radii, vertices = np.linalg.norm(roll.vertices[:, :2], axis=1), roll.vertices.copy()
+    vertices[radii > 4.21e-3, :2] *= 4.07e-3 / radii.max()
+    return replace(instrument, links=(replace(roll, vertices=vertices), *others))
+
+
 @pytest.mark.parametrize("name", NUMBERS)
 def test_silhouettes_from_40_directions_agree_with_the_dvrk_meshes(name: str, shared: Path) -> None:
     urdf = shared / "instruments" / "dvrk_model" / "urdf" / f"instrument_{NUMBERS[name]}.urdf"
-    made, real = prepare(name), prepare(urdf)
+    made, real = prepare(name), prepare(with_tube_of_real_radius(load_instrument(urdf)))
     assert made.instrument.joint_names == real.instrument.joint_names
     np.testing.assert_allclose(made.instrument.limits, real.instrument.limits, atol=1e-5)
     for ours, theirs in zip(made.instrument.jaw_tips, real.instrument.jaw_tips, strict=True):
@@ -150,9 +159,7 @@ def test_silhouettes_from_40_directions_agree_with_the_dvrk_meshes(name: str, sh
     joints = np.random.default_rng(0).uniform(0.8 * low, 0.8 * high, (40, len(low)))
     camera = Camera(320, 240, 800.0, 800.0, 160.0, 120.0)
     ours, theirs = (Renderer(body, camera).masks(poses_around(40), joints) for body in (made, real))
-    overlap = (ours & theirs).sum((1, 2)) / (ours | theirs).sum((1, 2))
-    assert overlap.mean() > 0.94  # its shaft is 7 % thicker than that of a real instrument
-    assert overlap.min() > 0.92
+    assert ((ours & theirs).sum((1, 2)) / (ours | theirs).sum((1, 2))).min() > 0.93
 
 
 @pytest.mark.parametrize("name", NUMBERS)
