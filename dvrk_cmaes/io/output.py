@@ -191,6 +191,8 @@ class Output:
         try:
             self._read()
         except BaseException:
+            if os.fstat(self._run).st_size == 0:  # which could not be written, as on a full disk
+                (path / RUN).unlink(missing_ok=True)
             self._release()
             raise
 
@@ -237,7 +239,9 @@ class Output:
             self.files[name] = [*digests, digest]
         before = os.pread(self._run, 1, self._end - 1)
         entry = f"{'' if before == b'{' else ','}\n  {json.dumps(name)}: {json.dumps(self.files.get(name))}".encode()
-        if os.pwrite(self._run, entry + _END, self._end) < len(entry + _END):
+        if os.pwrite(self._run, entry + _END, self._end) < len(entry + _END):  # the disk is full
+            os.pwrite(self._run, _END, self._end)
+            os.ftruncate(self._run, self._end + len(_END))
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         self._end, self._changed = self._end + len(entry), True
 

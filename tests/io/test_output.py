@@ -213,6 +213,16 @@ def test_folder_whose_files_were_not_written_yet_is_that_of_the_command(tmp_path
     check_files(tmp_path / "killed", "estimate", ["a.json"])
 
 
+def test_full_disk_leaves_no_empty_list(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
+
+    monkeypatch.setattr(output_module.os, "replace", full)
+    with pytest.raises(DvrkCmaesError, match="not written"), output(tmp_path / "out", "batch"):
+        pass
+    assert not (tmp_path / "out").exists()
+
+
 def test_note_that_a_full_disk_or_a_power_cut_cuts_off_is_left_out(tmp_path: Path) -> None:
     write(tmp_path / "out")
     run = tmp_path / "out" / "run.json"
