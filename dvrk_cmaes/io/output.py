@@ -200,11 +200,8 @@ class Output:
         data = os.pread(self._run, os.fstat(self._run).st_size, 0)
         if data:
             self.head, self.files = _parsed(data, self.path / RUN)
-            command = self.head.pop("command")
-            if command != self.command:
-                raise InputError(
-                    f"{self.path}: it has what `{command}` wrote, which stays as it is; choose another --out"
-                )
+        if (command := self.head.pop("command", self.command)) != self.command:
+            raise InputError(f"{self.path}: it has what `{command}` wrote, which stays as it is; choose another --out")
         self._end = len(data) - len(_END)
         if not data.endswith(_END):
             self.describe()
