@@ -72,11 +72,9 @@ def check_no_link(path: Path) -> None:
 
 
 def _digest(path: Path) -> str | None:
-    """Return the SHA-256 of a regular file in hexadecimal; None if there is none, or something else."""
-    with contextlib.suppress(OSError):
-        if path.is_file():
-            with path.open("rb") as file:
-                return hashlib.file_digest(file, "sha256").hexdigest()
+    """Return the SHA-256 of a regular file in hexadecimal; None if it cannot be read."""
+    with contextlib.suppress(OSError), path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
     return None
 
 
