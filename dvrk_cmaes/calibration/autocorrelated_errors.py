@@ -33,12 +33,14 @@ SINGLE = 1.0
 
 @dataclass(frozen=True, eq=False)
 class CommonErrors:
-    """Errors that N frames share: those of frames near each other in time.
+    """Errors that N frames share: those of frames near each other in time, and that of the lag.
 
-    ``times`` (N,), s, are those of the frames, NaN where unknown. Frames within ``alike_seconds`` count as one.
+    ``times`` (N,), s, are those of the frames, NaN where unknown. ``by_lag`` (N, D) are the changes of what is
+    predicted of the frames by one standard deviation of the lag. Frames within ``alike_seconds`` count as one.
     """
 
     times: Float64
+    by_lag: Float64
     alike_seconds: float = 0.0
 
 

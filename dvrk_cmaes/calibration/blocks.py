@@ -73,10 +73,7 @@ class Block:
 class PredictedBlock(Block, ABC):
     """A block that changes what is predicted of the frames."""
 
-    nuisance: ClassVar[bool] = False
-    """Whether the covariance of a stated calibration leaves it out."""
-
-    def change(self, model: SessionModel, value: Any) -> Float64 | None:
+    def change(self, value: Any) -> Float64 | None:
         """Return the changes (N, 6 + J) of the predictions by a value; None where the model knows them."""
         return None
 
@@ -277,11 +274,6 @@ class Calibration:
     def own(self) -> int:
         """Number of unknowns that change what is predicted."""
         return sum(len(block.std) for block in self.predicted)
-
-    @property
-    def stated(self) -> int:
-        """Number of unknowns in the covariance of a stated calibration, which are the first ones."""
-        return sum(len(block.std) for block in self.predicted if not block.nuisance)
 
     @property
     def further(self) -> Float64:

@@ -71,11 +71,22 @@ class OwnEstimate:
 
 
 @dataclass(frozen=True, eq=False)
-class FrameFit:
-    """A frame's pose, fitted to its outlines with the session's prior.
+class LocalFit:
+    """A pose that was fitted with what was expected of it.
 
     ``information`` (D, D), D = 6 + J, is the Gauss-Newton matrix of what the image alone shows at the fit, and
     ``slope`` (D,) the gradient of half its sum of squares.
+    """
+
+    at: Posed
+    information: Float64
+    slope: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class FrameFit(LocalFit):
+    """A frame's pose, fitted to its outlines with the session's prior.
+
     ``evaluations`` is the number of silhouettes that were rendered. ``iou`` is the intersection over union of the fit's
     silhouette and the mask; ``own_iou`` is that of the frame's own estimate, 0 if not given.
     ``side_offsets`` (2,), px, are by how much the first view's mask lies outwards of both sides of the shaft; None
@@ -83,9 +94,6 @@ class FrameFit:
     pose, per px of the mean errors of all masks (`mean_errors`); None where that is not measured.
     """
 
-    at: Posed
-    information: Float64
-    slope: Float64
     evaluations: int = 0
     iou: float = 1.0
     own_iou: float = 0.0

@@ -9,15 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
 from dvrk_cmaes.calibration.blocks import Calibration, PredictedBlock
-from dvrk_cmaes.calibration.consensus import Consensus, Mode, find_consensus
+from dvrk_cmaes.calibration.consensus import IMPROVEMENT, Consensus, Mode, choose_modes, find_consensus
 from dvrk_cmaes.calibration.endoscope import Steered
-from dvrk_cmaes.calibration.model import SessionModel
-from dvrk_cmaes.calibration.solve import Solved
+from dvrk_cmaes.calibration.model import Deviations, SessionModel
+from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, solve_arms
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
@@ -39,9 +39,9 @@ UNLIKELY: Final = 1.5
 MOVE: Final = "a recording in which the arm moves quickly would determine it"
 NO_READINGS_AT_LAG: Final = "no readings once the lag is taken out"
 """Why a frame is left out."""
-NOT_INTERPOLABLE: Final = (
-    "the readings jump from row to row, as those of postures or of frames picked from a recording: give all rows of "
-    "the recording, with times"
+POSTURES: Final = (
+    "the rows have no times, and readings jump from row to row, as those of postures: none is looked for unless --lag "
+    "auto asks for it; give times of a recording"
 )
 """Why no lag is looked for."""
 
@@ -60,12 +60,14 @@ _NOWHERE = 3.0  # mean misfit from which on most frames disagree, and the best l
 _COARSE = 3  # steps of the search, in each of the far one: the misfit falls over many times as much
 # what a curve shows
 _FREEDOM_OF_A_FRAME = 1.25  # degrees of freedom, of 5 of its pose: frames of a recording share errors
+_FLAT = 1.0  # steps of the curve: root mean square of what it allows, from which on it hardly determines a lag
+_OF_A_LAG, _OF_NONE = 0.5, 0.7  # of that, least standard deviation of a lag, and of none
 _UNDETERMINED, _UNKNOWN = 2.0, 3.0  # frames, least and largest standard deviation of a lag that is not determined
-# the block
+# refinement
 _SHARED_ERRORS = 2.0  # factor on the standard deviation: the frames of a recording share errors of masks and readings
-_LEAST_STEP = 0.25  # of the differences, relative to the search's
-_LEAST_PRIOR = 0.5  # frames, standard deviation of what is left of a lag
-_ROLL_AXIS: Final = 5  # of a small change of the root's pose, which those of the joints follow
+_LINEARISATIONS, _MOST_LINEARISATIONS = 4, 10  # those that do not move the lag by half a step of the search, and all
+_LEAST_STEP = 0.25  # of the refinement's differences, relative to the search's
+_SETTLED, _SETTLING = 0.01, 0.45  # steps of the search, by which a refined value still changes, and by which at most
 # decision
 _SIGNIFICANT = 2.0  # standard deviations
 _LEAST_LAG = 0.3  # frames, below which a lag is not corrected
@@ -74,25 +76,21 @@ _AGREE = 3.0  # standard deviations of each lag, within which those of several a
 
 
 class LagBlock(PredictedBlock):
-    """What is still to be added to a lag (1,), in the unit of the frames' times.
+    """A lag (1,), in the unit of the frames' times, whose ``effect`` (N, 6 + J) is linearised ``at`` a value."""
 
-    ``shared`` says whether the arms of the session have it in common.
-    """
+    shared = True
 
-    nuisance = True
-
-    def __init__(self, std: float, *, shared: bool) -> None:
+    def __init__(self, std: float, effect: Float64, at: float) -> None:
         super().__init__(LAG, np.array([std]), (LAG,))
-        self.shared = shared
+        self._effect, self._at = effect, at
 
-    def change(self, model: SessionModel, value: Any) -> Float64 | None:
+    def change(self, value: Any) -> Float64:
         """Return the changes of the predictions by a lag."""
-        return None if model.by_lag is None else model.by_lag * value
+        return np.asarray(self._effect * (value - self._at))
 
     def derivative(self, model: SessionModel, calibration: Calibration) -> Float64:
         """Return the changes of the predictions by those of the readings."""
-        assert model.by_lag is not None
-        return model.by_lag[:, :, None]
+        return self._effect[:, :, None]
 
 
 @dataclass(frozen=True)
@@ -133,6 +131,30 @@ class LagCurve(Document):
         weights = np.exp(-0.5 * (squares + (self.lags / unknown) ** 2))
         return float(min(np.sqrt(weights @ (self.lags - about) ** 2 / weights.sum()), np.hypot(unknown, about)))
 
+    def least_std(self, frames: int, unknown: float, value: float, *, applied: bool) -> float:
+        """Return the least standard deviation of a lag, in the unit of the curve: 0 where the curve shows the lag.
+
+        Where the curve is flat, as of few frames that follow each other closely, errors that the frames share displace
+        its minimum.
+
+        Parameters
+        ----------
+        frames
+            Number of frames of which the curve is.
+        unknown
+            Standard deviation of the lag beforehand, in the unit of the curve.
+        value
+            The lag, in the unit of the curve.
+        applied
+            Whether it differs from none.
+        """
+        if len(self.lags) < 2:
+            return 0.0
+        allowed = self.root_mean_square(frames, unknown, value)
+        if allowed <= _FLAT * float(np.diff(self.lags).max()):
+            return 0.0
+        return allowed * (_OF_A_LAG if applied else _OF_NONE)
+
 
 class Refined(NamedTuple):
     """A lag in the unit of the readings' times, and its standard deviation."""
@@ -146,19 +168,23 @@ class SessionLag:
     """The readings of an arm's N frames at any lag of the images, and what is known of the lag.
 
     ``series`` are all readings, None where the frames have no order; ``times`` (N,) those of the frames' images on its
-    clock. ``interpolable`` says whether the readings may be interpolated, because the rows follow each other closely in
-    time, as none of postures do; a lag is looked for in such readings only. ``step`` is that of the search, in the unit
-    of the series.
+    clock, ``middle`` the middle of the times of all frames. ``interpolable`` says whether the readings may be
+    interpolated, because the rows follow each other closely in time. ``step`` is that of the search, in the unit of the
+    series; for readings that cannot be interpolated it is the time between their rows, None if that is not constant.
 
     ``lag`` is None where it is not determined, and ``undetermined`` then says why; ``curve`` is the disagreement of the
-    frames as a function of the lag, ``nowhere`` says that they agree at none. ``fixed`` says that the lag was given:
-    it is neither searched nor refined. ``alone`` says that the other arms of the session have another one.
+    frames as a function of the lag, ``nowhere`` says that they agree at none. ``fixed`` says that the lag was given,
+    or is not looked for: neither is it searched nor refined. ``alone`` says that the other arms of the session have
+    another one.
+
+    Values (2,) of a lag are that in the middle of the frames, in the unit of the series, and its change by time.
     """
 
     series: ReadingSeries | None
     times: Float64
+    middle: float = 0.0
     interpolable: bool = False
-    step: float = 1.0
+    step: float | None = None
     lag: Lag | None = None
     undetermined: str = ""
     nowhere: bool = False
@@ -172,7 +198,7 @@ class SessionLag:
         series: ReadingSeries | None,
         names: Sequence[str],
         outer_std: Float64,
-        given: Lag | None = None,
+        given: Lag | Literal["auto"] | None = None,
     ) -> SessionLag:
         """Return what is known before anything is estimated.
 
@@ -185,7 +211,8 @@ class SessionLag:
         outer_std
             (4,), of the readings of the outer joints.
         given
-            The lag that is taken out, and neither searched nor refined.
+            The lag that is taken out, and neither searched nor refined; ``auto`` to look for it in readings without
+            times that jump from row to row, too, which are those of postures and no recording.
 
         Raises
         ------
@@ -197,19 +224,21 @@ class SessionLag:
         low, high = RANGE[series.unit]
         postures = series.unit == "frames" and series.jumps(OUTER_JOINTS, _ROUGH * outer_std)
         interpolable = not postures and series.is_interpolable(OUTER_JOINTS, _ROUGH * outer_std)
-        step = max(min(_STEP[series.unit], series.interval), (high - low) / (_MOST_STEPS - 1))
-        found = cls(series, np.array([series.frames[name] for name in names]), interpolable, step)
-        if given is not None:
+        fine = max(min(_STEP[series.unit], series.interval), (high - low) / (_MOST_STEPS - 1))
+        step = fine if interpolable else series.spacing(OUTER_JOINTS[0])
+        times = np.array([series.frames[name] for name in names])
+        found = cls(series, times, float(times.min() + times.max()) / 2, interpolable, step)
+        if isinstance(given, Lag):
             value = given.in_unit(series.unit)
             lag = Lag.of(value, 0.0, series.unit, series.interval, applied=value != 0)
             return replace(found, lag=lag, fixed=True)
-        return found if interpolable else replace(found, undetermined=NOT_INTERPOLABLE)
+        return replace(found, undetermined=POSTURES, fixed=True) if postures and given is None else found
 
     @classmethod
-    def _without_order(cls, frames: int, given: Lag | None) -> SessionLag:
+    def _without_order(cls, frames: int, given: Lag | Literal["auto"] | None) -> SessionLag:
         """Return that of frames without an order, of which only a lag of zero may be given."""
         times = np.full(frames, np.nan)
-        if given is not None:
+        if isinstance(given, Lag):
             if given.frames or given.seconds:
                 raise InputError(
                     "lag: expected readings of numbered frames, or times of images and readings, got neither"
@@ -258,15 +287,19 @@ class SessionLag:
 
     def has_readings_near(self) -> Bool:
         """Whether each frame has readings at the lag that is taken out, and half a step of the search around it."""
-        reach = self.step / 2 if self.interpolable else 0.0
+        reach = (self.step or 0.0) / 2 if self.interpolable else 0.0
         return np.asarray(self.has_readings(self.value - reach) & self.has_readings(self.value + reach))
+
+    def model_at(self, model: SessionModel, value: float) -> SessionModel:
+        """Return a model with the readings of the times of the images less a lag."""
+        return self._model_at(model, value, model.deviations, smoothed=False)
 
     def corrected(self, model: SessionModel) -> SessionModel:
         """Return a model with the readings of the times of the images less the lag that is taken out."""
-        return model if self.applied is None else self._model_at(model, self.value, smoothed=False)
+        return model if self.applied is None else self.model_at(model, self.value)
 
     def model_to_compare(self, model: SessionModel, value: float) -> SessionModel:
-        """Return the model with the readings at a lag by which lags are compared.
+        """Return the model of `model_at` by which lags are compared.
 
         Its readings are smoothed where they may be interpolated: otherwise a lag between two rows would agree better
         than one at a row, because it averages the noise of both. The errors of joints that cables move last for
@@ -278,17 +311,16 @@ class SessionLag:
         factor = float(np.sqrt(np.clip(_CABLE_SECONDS / max(spacing, 1e-9), 1.0, count)))
         own = model.deviations
         outer = own.outer * np.where(np.array(OUTER_JOINTS) == "roll", factor, 1.0)
-        wide = replace(own, outer=outer, joints=factor * own.joints)
-        return replace(self._model_at(model, value), deviations=wide)
+        return self._model_at(model, value, replace(own, outer=outer, joints=factor * own.joints), smoothed=True)
 
-    def _model_at(self, model: SessionModel, value: float, *, smoothed: bool = True) -> SessionModel:
+    def _model_at(self, model: SessionModel, value: float, deviations: Deviations, *, smoothed: bool) -> SessionModel:
         read, spline = self.read_times(value), smoothed and self.interpolable
         outer = self._known.at(OUTER_JOINTS, read, smoothed=spline)
         joints = self._known.at(model.names, read, smoothed=spline)
         endoscope = model.endoscope
         if isinstance(endoscope, Steered):
             endoscope = endoscope.at(self._known.at(ECM_JOINTS, read))
-        return replace(model, outer=outer, joints=joints, endoscope=endoscope)
+        return replace(model, outer=outer, joints=joints, deviations=deviations, endoscope=endoscope)
 
     # times of the frames
 
@@ -352,87 +384,88 @@ class SessionLag:
         std = self.lag.std_seconds if self.series.unit == "s" else self.lag.std_frames
         return None if std is None else (self.lag.in_unit(self.series.unit), std)
 
-    def with_block(self, model: SessionModel, calibration: Calibration) -> tuple[SessionModel, Calibration]:
-        """Return a model and a calibration with what is left of the lag as a block.
+    def change_of_predictions(self, model: SessionModel, calibration: Calibration) -> Float64:
+        """Return the changes (N, D) of what is predicted of the frames, by one standard deviation of the lag.
 
-        There is none where the lag is given, or readings cannot be interpolated. The effect is that of the readings'
-        velocity on the arm: errors of the joints that cables move look like a lag themselves. Frames without readings
-        there show nothing of it. A lag that is not determined has the standard deviation that the curve shows, but at
-        least `_UNDETERMINED` frames.
+        They are in the root's axes and of the joints, m and rad; zero where the readings cannot be interpolated, or a
+        frame has none there. A lag that the frames do not determine has the standard deviation that the curve shows,
+        but at least `_UNDETERMINED` frames.
         """
-        if not self.interpolable or self.fixed or self.nowhere:
-            return model, calibration
-        interval, by = self._known.interval, _LEAST_STEP * self.step
-        std = max(self.known[1], _LEAST_PRIOR * interval) if self.known else _UNDETERMINED * interval
-        if self.curve is not None:
-            std = max(std, self.curve.root_mean_square(len(self.times), _UNKNOWN * interval, self.value))
-        alone = calibration.without(LAG)
-        later, earlier = (self._model_at(model, self.value + step).predict(alone) for step in (by, -by))
-        effect = np.nan_to_num(later.minus(earlier) / (2 * by))
-        effect[:, _ROLL_AXIS:] = 0.0
-        left = calibration.values.get(LAG, np.zeros(1))
-        block = LagBlock(std, shared=not self.alone)
-        return replace(model, by_lag=effect), calibration.with_blocks(block, **{LAG: left})
-
-    def after(self, solution: Solved) -> SessionLag:
-        """Return the lag after the step of its block, with the standard deviation there.
-
-        It stays as it is where a frame would have no readings.
-        """
-        place, reach = solution.calibration.place(LAG), self.step / 2
-        expected = _SHARED_ERRORS**2 * np.linalg.inv(solution.information)[place, place]
-        std = np.sqrt(np.maximum(expected, solution.covariance[place, place])).item()
-        value = self.value + float(np.clip(solution.calibration.values[LAG][0], -reach, reach))
-        found = self.with_estimate(Refined(value, std))
-        return found if found.all_have_readings else self
+        none = np.zeros((len(model.outer), 6 + len(model.names)))
+        if not self.interpolable:
+            return none
+        series, count = self._known, len(self.times)
+        unknown, applied = _UNKNOWN * series.interval, self.applied is not None
+        if self.known is not None:
+            least = self.curve.least_std(count, unknown, self.value, applied=applied) if self.curve else 0.0
+            step = max(self.known[1], least)
+        else:
+            allowed = self.curve.root_mean_square(count, unknown) if self.curve and len(self.curve.lags) > 2 else 0.0
+            step = max(_UNDETERMINED * series.interval, allowed)
+        ends = [self.model_at(model, self.value + by) for by in (step, -step)]
+        later, earlier = (end.predict(calibration) for end in ends)
+        change = later.minus(earlier) / 2
+        return np.where(np.isnan(change).any(axis=1, keepdims=True), none, change)
 
     # search by the frames' modes
 
     def searched(self, model: SessionModel, modes: Sequence[Sequence[Mode]]) -> SessionLag:
         """Find the lag from the frames' own modes; arguments as in `find_consensus`."""
-        if not self.interpolable or self.fixed:
+        if self.series is None or self.fixed:
             return self
         found, best = self._search(model, modes)
-        return found if best is None else found.with_estimate(found._at_minimum(best))
+        if best is None:
+            return found
+        return found.with_estimate(found._refined_modes(model, modes, best))
 
-    def _at_minimum(self, best: float) -> Refined | None:
-        """Return the lag at the minimum of the curve, by a parabola through three points."""
-        assert self.curve is not None
-        step, lags, misfit = self.step, self.curve.lags, self.curve.misfit
-        at = int(np.abs(lags - best).argmin())
-        if not 0 < at < len(lags) - 1:
+    def _refined_modes(self, model: SessionModel, modes: Sequence[Sequence[Mode]], lag: float) -> Refined | None:
+        """Refine a lag of the search by the modes that agree there."""
+        consensus = self._consensus(model, modes, lag)
+        if consensus is None:
             return None
-        before, least, after = misfit[at - 1 : at + 2]
-        bend = before - 2 * least + after
-        if bend <= 0:
-            return None
-        std = step * np.sqrt(2 / (_FREEDOM_OF_A_FRAME * len(self.times) * bend))
-        return Refined(float(best + 0.5 * step * (before - after) / bend), float(std))
+        has = np.flatnonzero(self.has_readings(lag))
+        shifted = self.model_at(model, lag).subset(has)
+        chosen = choose_modes(shifted, [modes[int(i)] for i in has], consensus.calibration)
+        frames = ArmFrames(shifted, FrameFits.of_modes(chosen), consensus.calibration)
+        return refine_lag([(self.subset(has), frames)], lag)
 
     def _search(self, model: SessionModel, modes: Sequence[Sequence[Mode]]) -> tuple[SessionLag, float | None]:
         """Find the lag at which the frames' modes agree best; None with the reason where they do not determine it.
 
         Where they agree at no lag of the usual range, the far range is searched too. The lag is not determined by too
-        few frames, nor if the best lag is at the end of the range, or the frames agree at none.
+        few frames, nor if the best lag is at the end of the range, or the frames agree at none. Readings that cannot be
+        interpolated must be at regular times, and the lag must halve the mean misfit.
         """
         if len(modes) < _LEAST_FRAMES:
             text = f"{len(modes)} frames have a pose and readings, at least {_LEAST_FRAMES} are needed"
             return replace(self, undetermined=text), None
+        if self.step is None:
+            text = (
+                "the readings are too far apart in time to be interpolated, and at uneven times: give all rows of the "
+                "recording, not only those of the frames"
+            )
+            return replace(self, undetermined=text), None
         unit, step, ends = self._known.unit, self.step, tuple[float, ...]()
         low, high = RANGE[unit]
         lags, costs = self._costs(model, modes, low, high, step)
-        if not costs.min() <= _DISAGREE:
+        if self.interpolable and not costs.min() <= _DISAGREE:
             low, high = -FARTHEST[unit], FARTHEST[unit]
             coarse, far = self._costs(model, modes, low, high, _COARSE * step)
             if far.min() < costs.min() / UNLIKELY:
                 about, ends = float(coarse[far.argmin()]), (low, high)
                 near = max(low, about - _COARSE * step), min(high, about + _COARSE * step)
                 lags, costs = self._costs(model, modes, *near, step)
-        best = int(np.argmin(costs))
+        best, synchronous = int(np.argmin(costs)), int(np.argmin(np.abs(lags)))
         pairs = zip(lags.tolist(), costs.tolist(), strict=True)
         found = replace(self, curve=LagCurve(unit, tuple((lag, cost) for lag, cost in pairs if np.isfinite(cost))))
         if not np.isfinite(costs[best]):
             return replace(found, undetermined="too few frames have readings at any lag"), None
+        if not self.interpolable and best != synchronous and costs[best] > IMPROVEMENT * costs[synchronous]:
+            text = (
+                "the readings are too far apart in time to be interpolated, and no lag of whole rows is much better "
+                "than none: give all rows of the recording"
+            )
+            return replace(found, undetermined=text), None
         at_end = min((abs(lags[best] - end) for end in ends), default=np.inf) < _COARSE * step
         nowhere = (at_end or costs[best] > _DISAGREE) if ends else bool(costs[best] > _NOWHERE)
         if nowhere:
@@ -462,6 +495,70 @@ class SessionLag:
         few = {"hypothesis_frames": _HYPOTHESIS_FRAMES, "test_frames": _TEST_FRAMES}
         own = [modes[int(i)] for i in has]
         return find_consensus(self.model_to_compare(model, value).subset(has), own, **few)
+
+    # refinement
+
+    def near(self, frames: ArmFrames, value: float, reach: float) -> ArmFrames | None:
+        """Return frames with what is predicted of them linearised at a lag, which changes by at most ``reach``.
+
+        None if too few frames have readings there. Each frame counts as one, and its errors as independent of others.
+        """
+        has = self.has_readings(value - reach) & self.has_readings(value + reach)
+        if has.sum() < _LEAST_AT_LAG:
+            return None
+        order = np.flatnonzero(has)[np.argsort(self.times[has], kind="stable")]
+        of_these, model, fits = self.subset(order), frames.model.subset(order), frames.fits.subset(order)
+        alone, by = frames.calibration.without(LAG), _LEAST_STEP * reach
+        later, earlier = (of_these.model_to_compare(model, value + step).predict(alone) for step in (by, -by))
+        std = FARTHEST[self._known.unit] / _SHARED_ERRORS
+        block = LagBlock(std, later.minus(earlier) / (2 * by), value)
+        known = frames.calibration.with_blocks(block, **{LAG: np.array([value])})
+        return ArmFrames(of_these.model_to_compare(model, value), FrameFits(fits.at, fits.outlines), known)
+
+
+LateFrames = tuple[SessionLag, ArmFrames]
+"""An arm's frames, and their readings at any lag."""
+
+
+def refine_lag(arms: Sequence[LateFrames], start: float) -> Refined | None:
+    """Refine a lag together with the calibrations of arms of one clock.
+
+    A lag of readings that cannot be interpolated is left as it is. None if too few frames have readings around the lag,
+    or the frames agree best nowhere near the start.
+
+    Parameters
+    ----------
+    arms
+        The arms.
+    start
+        The lag to start from.
+    """
+    clock, _ = arms[0]
+    if not clock.step:
+        return None
+    if not clock.interpolable:
+        return Refined(start, clock.step / np.sqrt(12))
+    reach, value, left = clock.step, start, _LINEARISATIONS
+    calibrations = [frames.calibration for _, frames in arms]
+    solutions, moved = None, 0.0
+    for _ in range(_MOST_LINEARISATIONS):
+        pairs = zip(arms, calibrations, strict=True)
+        near = [lag.near(frames._replace(calibration=at), value, reach) for (lag, frames), at in pairs]
+        linearised = [one for one in near if one is not None]
+        if len(linearised) < len(near):
+            break
+        solutions = solve_arms(linearised)
+        change = float(np.clip(solutions[0].calibration.values[LAG][0] - value, -reach / 2, reach / 2))
+        value, moved = value + change, abs(change) / reach
+        calibrations = [own.calibration for own in solutions]
+        left -= int(moved < 0.5)
+        if not left or moved < _SETTLED:
+            break
+    if solutions is None or moved > _SETTLING:
+        return None
+    place = solutions[0].calibration.place(LAG)
+    alone = _SHARED_ERRORS**2 * np.linalg.inv(solutions[0].information)[place, place]
+    return Refined(value, float(np.sqrt(max(alone.item(), solutions[0].covariance[place, place].item()))))
 
 
 def in_common(lags: Sequence[SessionLag]) -> list[SessionLag]:

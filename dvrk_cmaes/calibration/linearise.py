@@ -19,11 +19,10 @@ from dvrk_cmaes.calibration.blocks import Calibration, OutlineOfView, SeenBlock,
 from dvrk_cmaes.calibration.frame_fit import with_noise
 from dvrk_cmaes.calibration.frame_task import Run
 from dvrk_cmaes.calibration.model import SessionModel
-from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, Solved, marginalise, solve_arms
+from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, Solved, Solver, marginalise
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
-from dvrk_cmaes.calibration.variances import solve_with_variances
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.config import EstimateConfig, SessionConfig
+from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.pose.terms.coverage import Coverage
 from dvrk_cmaes.pose.terms.shared_errors import SIDES, image_axis
@@ -32,7 +31,6 @@ from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import Body, OutlinePoints
 
-_STEPS = 10  # largest number of Gauss-Newton steps between two estimates of the variances
 _SETTLED = 0.25  # standard deviations of the blocks, below which the outlines are not linearised again
 NAMED = 2.5
 """Standard deviations from the value of a file, above which one of several unknowns is named."""
@@ -228,7 +226,7 @@ def linearised_at(arms: Sequence[ArmOutlines]) -> list[FrameFits]:
 
 def linearise(
     arms: Sequence[ArmOutlines],
-    config: SessionConfig | None,
+    solver: Solver,
     names: Sequence[str],
     *,
     passes: int,
@@ -240,8 +238,8 @@ def linearise(
     ----------
     arms
         The frames of each arm, and their outlines.
-    config
-        Settings of the variance components, which are estimated with the blocks; None to leave them as they are.
+    solver
+        What estimates the calibrations from linearised outlines.
     names
         Names of the blocks that have to settle.
     passes
@@ -257,12 +255,7 @@ def linearise(
     arms, fits = with_new_blocks(arms), first
     for _ in range(passes):
         fits = linearised_at(arms) if fits is None else fits
-        frames = [ArmFrames(arm.model, own, arm.calibration) for arm, own in zip(arms, fits, strict=True)]
-        models = [arm.model for arm in arms]
-        if config is None:
-            solutions = solve_arms(frames)
-        else:
-            models, solutions = solve_with_variances(frames, config, steps=_STEPS)
+        models, solutions = solver([ArmFrames(a.model, f, a.calibration) for a, f in zip(arms, fits, strict=True)])
         asked = [tuple(one for one in arm.outlines.blocks if one.name in names) for arm in arms]
         last = list(map(Linearised, models, solutions, fits, asked))
         if all(one.settled for one in last) or not all(one.plausible for one in last):

@@ -97,8 +97,6 @@ class SessionModel:
         Factors on the standard deviations of roll and of the instrument's joints in each frame; 1 by default.
     correction
         What the cables are known to add to the readings of roll and of the instrument's joints; by default nothing.
-    by_lag : (N, 6 + J)
-        Changes of the predictions by a unit of the lag between images and readings; None where it is no unknown.
     endoscope
         Where an endoscope that moves is in each frame; None for one that stands still.
     offset_std : (2 + J,)
@@ -113,7 +111,6 @@ class SessionModel:
     roll_offset: float = ROLL_OFFSET
     inflation: Float64 = field(default_factory=lambda: np.ones((0, 0)))
     correction: Correction = field(default_factory=lambda: Correction.none(0, 0))
-    by_lag: Float64 | None = None
     endoscope: Endoscope | None = None
     offset_std: Float64 = field(default_factory=lambda: np.zeros(0))
     _last: dict[bytes, tuple[Float64, Float64]] = field(default_factory=dict, init=False)
@@ -193,7 +190,7 @@ class SessionModel:
         poses = self.camera_from_base(calibration) @ self.base_from_root(calibration.offsets)
         at = Posed(np.asarray(poses), read + calibration.offsets[2:] + self.correction.values[:, 1:])
         for block in calibration.predicted:
-            if (change := block.change(self, calibration.values[block.name])) is not None:
+            if (change := block.change(calibration.values[block.name])) is not None:
                 at = at.moved(change)
         return at
 
@@ -255,7 +252,6 @@ class SessionModel:
             joints=self.joints[index],
             inflation=self.inflation[index],
             correction=self.correction.subset(index),
-            by_lag=None if self.by_lag is None else self.by_lag[index],
             endoscope=None if self.endoscope is None else self.endoscope.subset(index),
         )
 

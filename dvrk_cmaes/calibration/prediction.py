@@ -221,7 +221,9 @@ def lag_of(calibration: SessionCalibration, unknown: float) -> FoundLag | None:
     """Return the lag that is taken out of the readings, and its standard deviation; None if nothing shows one.
 
     Where it is not determined, none is taken out, and the curve of disagreement says how large it may be;
-    ``unknown`` is the standard deviation, s, beforehand.
+    ``unknown`` is the standard deviation, s, beforehand. Where the curve is flat, as with few keyframes, the standard
+    deviation is larger than that of the least disagreement: errors that keyframes share displace that, or make a lag
+    where there is none.
     """
     found, curve = calibration.lag, calibration.lag_curve
     curve = curve if curve is not None and curve.unit == "s" and len(curve.lags) > 1 else None
@@ -229,7 +231,12 @@ def lag_of(calibration: SessionCalibration, unknown: float) -> FoundLag | None:
         return None if curve is None else FoundLag(0.0, curve.root_mean_square(len(calibration.frames), unknown))
     interval = found.seconds / found.frames if found.frames else 0.0
     std = found.std_seconds if found.std_seconds is not None else (found.std_frames or 0.0) * interval
-    return FoundLag(found.seconds, std) if found.applied else FoundLag(0.0, max(std, abs(found.seconds)))
+    value = found.seconds if found.applied else 0.0
+    if not found.applied:
+        std = max(std, abs(found.seconds))
+    if curve is not None:
+        std = max(std, curve.least_std(len(calibration.frames), unknown, value, applied=found.applied))
+    return FoundLag(value, std)
 
 
 def lag_and_std(calibration: SessionCalibration, unknown: float) -> FoundLag:

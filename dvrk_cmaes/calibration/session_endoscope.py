@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.blocks import ENDOSCOPE, Calibration
+from dvrk_cmaes.calibration.blocks import Calibration
 from dvrk_cmaes.calibration.endoscope import (
     OFFSET_STD,
     EndoscopeValues,
@@ -110,11 +110,10 @@ class SessionEndoscope:
         endoscope, values, base = model.endoscope, calibration.endoscope, calibration.camera_from_base
         if endoscope is None or values is None:
             return None
-        covariance = covariance[: calibration.stated, : calibration.stated]
         stands = _stands(model.camera_from_base(calibration), endoscope.place, names, times)
         if not isinstance(endoscope, Steered):
             return cls(stands, covariance=covariance)
-        count = calibration.place(ENDOSCOPE).start
+        count = calibration.own - len(values.deviation)
         jacobian = np.zeros((6, len(covariance)))  # of the arm's base in the ECM's
         jacobian[:, :6] = np.eye(6)
         ecm_from_base, jacobian[:, count : count + 10] = endoscope.ecm_from_base(values, base)

@@ -18,12 +18,14 @@ import numpy as np
 
 from dvrk_cmaes.calibration.blocks import Calibration, OutlineOfView, SeenBlock, ViewAsSeen
 from dvrk_cmaes.calibration.linearise import ArmOutlines, Linearised, linearise
-from dvrk_cmaes.calibration.solve import ArmFrames, marginalise, solve_arms
-from dvrk_cmaes.geometry import Float64, Posed
+from dvrk_cmaes.calibration.solve import ArmFrames, marginalise, solve_arms, solve_unchanged
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.geometry import Float64, Posed, apply
+from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Number, refused
 from dvrk_cmaes.pose.terms.coverage import of_margin
-from dvrk_cmaes.pose.terms.shared_errors import MEAN_ERRORS, SIDES
+from dvrk_cmaes.pose.terms.shared_errors import DIRECTIONS, MEAN_ERRORS, SIDES, image_axis
 
 MARGIN, BIAS = "margin", "mask_bias"
 """Names of the blocks."""
@@ -155,7 +157,7 @@ class SessionMasks(Document):
     by_errors: tuple[tuple[Number, ...], ...] = ()
 
     @classmethod
-    def of(cls, margin: Margin, bias: BiasEstimate | None, unknowns: int) -> SessionMasks:
+    def of(cls, margin: Margin, bias: BiasEstimate | None = None) -> SessionMasks:
         """State the margin, and the errors that frames share."""
         stated = cls(margin.px, margin.std_px, margin.applied)
         if bias is None:
@@ -165,7 +167,7 @@ class SessionMasks(Document):
             bias_px=tuple(bias.px.tolist()),
             rms_bias_px=tuple(np.sqrt(np.diag(bias.squares)[1:]).tolist()),
             error_squares=_rows(bias.squares),
-            by_errors=_rows(bias.of_calibration[:unknowns]),
+            by_errors=_rows(bias.of_calibration),
         )
 
     @property
@@ -230,7 +232,7 @@ def estimate_margin(arms: Sequence[ArmOutlines]) -> tuple[Margin, list[Calibrati
     returns the calibration and the poses (N) of each arm with masks less the margin, if it is clear, and the camera of
     the file: a change of the camera that is estimated beside the margin is not used.
     """
-    there = linearise(arms, None, [MARGIN], passes=_PASSES)[0]
+    there = linearise(arms, solve_unchanged, [MARGIN], passes=_PASSES)[0]
     (std,) = (float(there.std(one)[0]) for one in arms[0].outlines.blocks if one.name == MARGIN)
     margin = Margin.of(float(there.value(MARGIN)[0]), std)
     at, calibrations = [arm.at for arm in arms], [arm.calibration for arm in arms]
@@ -306,6 +308,46 @@ def _likely_sizes(information: Float64, slope: Float64, usual_px: float) -> Floa
     return std
 
 
+def change_by_margin(at: Posed, camera: Camera, instrument: Instrument) -> Float64:
+    """Return the change (D,) of a pose, per px, by which an outline seems wider on every side: the tool is nearer.
+
+    A shaft that looks wider by twice the margin is nearer in the same proportion.
+    """
+    along = np.zeros(6 + len(at.joints))
+    if instrument.shaft is not None:
+        tips = apply(at.pose, instrument.ends(at.joints)).mean(axis=0)
+        width = camera.fx * 2 * instrument.shaft.radius / float(np.linalg.norm(tips))
+        along[:3] = -at.pose[:3, :3].T @ tips * 2 / width
+    return along
+
+
+def changes_by_masks(at: Posed, camera: Camera, instrument: Instrument) -> Float64:
+    """Return the changes (D, 7) of a pose that fits an outline, per px of the masks' margin and of each bias.
+
+    Half of the error of a side of the shaft is a margin, which makes it seem nearer; half of it moves its axis aside.
+
+    Parameters
+    ----------
+    at
+        The pose.
+    camera, instrument
+        The camera that sees the instrument.
+    """
+    nearer = change_by_margin(at, camera, instrument)
+    moves = np.zeros((len(nearer), MEAN_ERRORS))
+    moves[:, 0] = nearer
+    if instrument.shaft is None:
+        return moves
+    along, aside = image_axis(instrument, camera, at)
+    across = np.array([-aside, along])
+    sides = np.column_stack([np.eye(SIDES), np.maximum(np.array([across, -across]) @ DIRECTIONS, 0.0)])
+    distance = float(np.linalg.norm(apply(at.pose, instrument.ends(at.joints)).mean(axis=0)))
+    moved = at.pose[:3, :3].T @ [*across, 0.0] * distance / camera.fx
+    moves[:, 1:] = np.outer(nearer, sides.mean(axis=0))
+    moves[:3, 1:] += np.outer(moved, (sides[0] - sides[1]) / SIDES)
+    return moves
+
+
 def covariance_of_masks(masks: SessionMasks | None, own: Float64, by_calibration: Float64 | None = None) -> Float64:
     """Return the covariance (D, D) of a pose by the errors that all masks of a session share.
 
@@ -314,7 +356,7 @@ def covariance_of_masks(masks: SessionMasks | None, own: Float64, by_calibration
     masks
         What the session tells of these errors; None where they were not estimated.
     own : (D, 7)
-        Changes of the pose by the errors in its own mask, px, given the calibration.
+        Changes of the pose by the errors in its own mask, given the calibration, as of `changes_by_masks`.
     by_calibration : (D, K)
         Changes of the pose with the calibration, which the same errors have moved; None if it does not rest on one.
     """

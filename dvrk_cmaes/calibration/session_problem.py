@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -23,13 +23,15 @@ from dvrk_cmaes.calibration.consensus import (
     check_arm,
     check_motion,
     choose_modes,
+    find_consensus,
     find_consensus_at_any_roll,
 )
+from dvrk_cmaes.calibration.endoscope import Pieces
 from dvrk_cmaes.calibration.endoscope_search import describe_pieces, find_pieces
 from dvrk_cmaes.calibration.frame_fit import FrameFit, first_starts, next_starts
 from dvrk_cmaes.calibration.frame_task import Run, SessionFrame, fit_task, gather_task, with_changed_cameras
-from dvrk_cmaes.calibration.lag import LAG, NO_READINGS_AT_LAG, SessionLag, in_common
-from dvrk_cmaes.calibration.linearise import ArmOutlines, SessionOutlines, linearise
+from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, SessionLag, in_common, refine_lag
+from dvrk_cmaes.calibration.linearise import ArmOutlines, SessionOutlines
 from dvrk_cmaes.calibration.model import Deviations, SessionModel
 from dvrk_cmaes.calibration.session_camera import (
     CAMERA,
@@ -39,6 +41,7 @@ from dvrk_cmaes.calibration.session_camera import (
     Lens,
     camera_undetermined,
     check_camera,
+    estimate_camera,
     file_deviations,
 )
 from dvrk_cmaes.calibration.session_masks import (
@@ -50,7 +53,7 @@ from dvrk_cmaes.calibration.session_masks import (
     estimate_margin,
 )
 from dvrk_cmaes.calibration.session_rig import ViewRotation
-from dvrk_cmaes.calibration.session_shaft import SIZES, InstrumentSizes
+from dvrk_cmaes.calibration.session_shaft import InstrumentSizes
 from dvrk_cmaes.calibration.solve import (
     ArmFrames,
     FrameFits,
@@ -80,7 +83,10 @@ _ROUNDS = 4  # in which frames and blocks are estimated in turn
 _NEAR = 1.0  # standard deviations per parameter, by which fits move to where the last solution expects them
 _CAMERA_PASSES = 2  # linearisations of the outlines about the camera between two fits of the frames
 _MOST_NAMED = 4
-_TO_TRY = "try another --instrument, --tool or --arm, other readings, or the lag of all rows of the recording"
+_TO_TRY = (
+    "try another --instrument, --tool or --arm, other readings, the lag of all rows of the recording, or --lag auto "
+    "for postures whose rows have no times"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +98,8 @@ class ArmSetup:
     applies a function to many tasks, ``progress`` is called before each stage with its name and the number of frames.
     ``refine_camera`` is whether the change of the camera that the frames fit is used, ``guessed_camera`` whether the
     frames' camera is a guess, of which there is no file. ``may_cut`` is whether the session may be cut into pieces
-    between which the base moved. ``lag`` is the one that is taken out of the readings, None to look for it.
-    ``gathered`` keeps the frames' evidence by name, for all solutions.
+    between which the base moved. ``lag`` is the one that is taken out of the readings, ``auto`` to look for it in those
+    of postures, too, as of `SessionLag.of`. ``gathered`` keeps the frames' evidence by name, for all solutions.
     """
 
     series: ReadingSeries | None
@@ -105,7 +111,7 @@ class ArmSetup:
     refine_camera: bool = False
     guessed_camera: bool = False
     may_cut: bool = True
-    lag: Lag | None = None
+    lag: Lag | Literal["auto"] | None = None
     gathered: dict[str, StoredFrame] = field(default_factory=dict)
 
 
@@ -204,8 +210,7 @@ class ArmSession:
     @property
     def masks(self) -> SessionMasks | None:
         """What is stated of errors that the masks share; None if their margin was not estimated."""
-        unknowns = self.solution.calibration.stated
-        return None if self.margin is None else SessionMasks.of(self.margin, self.bias, unknowns)
+        return None if self.margin is None else SessionMasks.of(self.margin, self.bias)
 
     @property
     def taken_off(self) -> float:
@@ -215,7 +220,8 @@ class ArmSession:
     @property
     def common(self) -> CommonErrors:
         """The errors that the frames share."""
-        return CommonErrors(self.times, self.setup.config.session.alike_seconds)
+        by_lag = self.lag.change_of_predictions(self.model, self.solution.calibration)
+        return CommonErrors(self.times, by_lag, self.setup.config.session.alike_seconds)
 
     def outlines(self, *, keep_all: bool = False) -> FrameFits:
         """Return the current fits; without the outlines that do not explain the mask, unless ``keep_all``."""
@@ -322,18 +328,39 @@ def _less_lag(arm: ArmSession) -> ArmSession:
 
 
 def _on_one_base(arm: ArmSession) -> tuple[ArmSession, Consensus]:
-    """Return the consensus of the frames, in pieces if the base moved between them."""
+    """Return the consensus of the frames, in pieces if the base moved between them.
+
+    Pieces in which the lag was found are looked for again with the lag taken out: with it, a moving arm seems to have
+    another base.
+    """
+    lost = isinstance(arm.model.endoscope, Pieces)
+    if lost:
+        arm = replace(arm, model=replace(arm.model, endoscope=None))
     consensus = find_consensus_at_any_roll(arm.model, arm.modes)
-    check_arm(arm.model, arm.modes, consensus)
-    if arm.model.endoscope is not None or not arm.setup.may_cut:
-        return arm, consensus
+    if not lost:
+        check_arm(arm.model, arm.modes, consensus)
+    cut = in_pieces(arm, consensus) if arm.model.endoscope is None else None
+    if cut is not None:
+        arm, consensus = cut, find_consensus_at_any_roll(cut.model, cut.modes)
+        assert isinstance(cut.model.endoscope, Pieces)
+        arm = cut.noted(remarks=[describe_pieces(cut.model.endoscope, cut.frames)])
+    if lost:
+        check_arm(arm.model, arm.modes, consensus)
+    return arm, consensus
+
+
+def in_pieces(arm: ArmSession, consensus: Consensus | None = None) -> ArmSession | None:
+    """Return an arm in the pieces in which its base stands still; None if it is not to be cut.
+
+    ``consensus`` is that of all frames, if it is known.
+    """
+    if not arm.setup.may_cut:
+        return None
+    if consensus is None:
+        consensus = find_consensus(arm.model, arm.modes)
     alike = float(np.median(frames_alike(arm.times, arm.setup.config.session.alike_seconds)))
-    pieces = find_pieces(arm.model, arm.modes, consensus, alike=alike)
-    if pieces is None:
-        return arm, consensus
-    cut = replace(arm, model=replace(arm.model, endoscope=pieces))
-    cut = cut.noted(remarks=[describe_pieces(pieces, arm.frames)])
-    return cut, find_consensus_at_any_roll(cut.model, cut.modes)
+    found = find_pieces(arm.model, arm.modes, consensus, alike=alike)
+    return None if found is None else replace(arm, model=replace(arm.model, endoscope=found[0]))
 
 
 def solved(arms: Arms) -> Arms:
@@ -435,7 +462,7 @@ def _estimated(arms: Arms, *, keep_all: bool, last: bool) -> Arms:
         arms = [_with_cables(arm, own, MARGIN if last else 0.0) for arm, own in zip(arms, fits, strict=True)]
         if any(arm.cables is not None and arm.cables[0].parts for arm in arms):
             arms = _with_variances(arms, fits)
-    return _with_moved_lags(arms)
+    return _with_refined_lags(arms, fits)
 
 
 def _with_variances(arms: Arms, fits: Sequence[FrameFits]) -> Arms:
@@ -444,8 +471,7 @@ def _with_variances(arms: Arms, fits: Sequence[FrameFits]) -> Arms:
     for arm in arms:
         own = Deviations.of(session, arm.model.names)
         usual.append(own if arm.cables is None else arm.cables[0].deviations(own))
-    with_lag = [arm.lag.with_block(arm.model, arm.calibration) for arm in arms]
-    frames = [ArmFrames(model, own, at) for (model, at), own in zip(with_lag, fits, strict=True)]
+    frames = [ArmFrames(arm.model, own, arm.calibration) for arm, own in zip(arms, fits, strict=True)]
     models, solutions = solve_with_variances(frames, session, usual)
     each = zip(arms, models, solutions, strict=True)
     return [replace(arm, model=model, found=own) for arm, model, own in each]
@@ -460,18 +486,22 @@ def _with_cables(arm: ArmSession, fits: FrameFits, margin: float) -> ArmSession:
     return replace(arm, cables=cables, model=model)
 
 
-def _with_moved_lags(arms: Arms) -> Arms:
-    """Take the lags out that were found; one that arms share only if all frames have readings then."""
-    lags = [arm.lag.after(arm.solution) if LAG in arm.solution.calibration.values else arm.lag for arm in arms]
-    stays = any(lag is arm.lag and not lag.alone for lag, arm in zip(lags, arms, strict=True))
-    out = []
-    for arm, lag in zip(arms, lags, strict=True):
-        if lag is arm.lag or (stays and not lag.alone):
-            out.append(arm)
+def _with_refined_lags(arms: Arms, fits: Sequence[FrameFits]) -> Arms:
+    """Refine the lags that are taken out; one at which a frame would have no readings is not taken."""
+    together: list[list[int]] = [[k] for k, arm in enumerate(arms) if arm.lag.alone]
+    together.append([k for k, arm in enumerate(arms) if not arm.lag.alone])
+    lags = [arm.lag for arm in arms]
+    for members in together:
+        refined = [k for k in members if lags[k].applied is not None and not lags[k].fixed]
+        if not refined:
             continue
-        at = arm.solution.calibration if lag.applied is None else arm.solution.calibration.with_blocks(lag=np.zeros(1))
-        out.append(replace(arm, lag=lag, model=lag.corrected(arm.model), found=replace(arm.solution, calibration=at)))
-    return out
+        late = [(lags[k], ArmFrames(arms[k].model, fits[k], arms[k].solution.calibration)) for k in refined]
+        found = refine_lag(late, lags[refined[0]].value)
+        new = [lags[k].with_estimate(found) for k in refined]
+        if all(lag.all_have_readings for lag in new):
+            for k, lag in zip(refined, new, strict=True):
+                lags[k] = lag
+    return [replace(arm, lag=lag, model=lag.corrected(arm.model)) for arm, lag in zip(arms, lags, strict=True)]
 
 
 def _by_camera(arms: Arms) -> list[list[int]]:
@@ -492,7 +522,7 @@ def _with_camera(arms: Arms) -> Arms:
     out = list(arms)
     for group in _by_camera(arms):
         seen = [_as_outlines(arms[k], arms[k].view_as_blocks()) for k in group]
-        estimates = linearise(seen, arms[group[0]].setup.config.session, (CAMERA, SIZES), passes=_CAMERA_PASSES)
+        estimates = estimate_camera(seen, arms[group[0]].setup.config, passes=_CAMERA_PASSES)
         found = all(estimate.plausible for estimate in estimates)
         for k, own in zip(group, estimates, strict=True):
             out[k] = replace(arms[k], camera_found=found)

@@ -7,12 +7,13 @@ frames share, as of the camera. Frames with large misfits are down-weighted.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.autocorrelated_errors import CommonErrors, frames_alike
 from dvrk_cmaes.calibration.blocks import Calibration
@@ -40,13 +41,15 @@ class FrameFits:
 
     ``at`` are the N points of expansion. ``outlines`` (N, D + E) are the approximations for changes from there, D = 6 +
     J, and for changes of E further unknowns from the values of their blocks, ``seen``; most often there are none. The
-    slope is zero at an outline's own optimum. ``shares`` (N,) are the shares of one frame as
+    slope is zero at an outline's own optimum. ``by_lag`` (N, D) are the changes of what is predicted by one standard
+    deviation of the lag between images and readings; none by default. ``shares`` (N,) are the shares of one frame as
     which each counts, because others err like it; 1 by default.
     """
 
     at: Posed
     outlines: Quadratic
     seen: Mapping[str, Float64] = field(default_factory=dict)
+    by_lag: Float64 | None = None
     shares: Float64 | float = 1.0
 
     @classmethod
@@ -67,7 +70,7 @@ class FrameFits:
         """Return the outlines of N frames with the errors that these share; ``seen`` as above."""
         counted = outlines.information.any(axis=(1, 2))  # those without an outline are no others beside a frame
         shares = 1 / frames_alike(np.where(counted, common.times, np.nan), common.alike_seconds)
-        return cls(at, outlines, seen, shares)
+        return cls(at, outlines, seen, common.by_lag, shares)
 
     @property
     def further(self) -> Float64:
@@ -96,6 +99,13 @@ class FrameFits:
         information = self.outlines.information[:, :own, :own]
         return np.asarray(np.linalg.pinv(information, rcond=1e-9, hermitian=True), dtype=np.float64)
 
+    def subset(self, index: list[int] | NDArray[np.integer]) -> FrameFits:
+        """Return the fits of the frames at some indices."""
+        by_lag = None if self.by_lag is None else self.by_lag[index]
+        outlines = self.outlines.select([int(i) for i in index])
+        shares = np.broadcast_to(self.shares, len(self.at))[index]
+        return FrameFits(self.at[index], outlines, self.seen, by_lag, shares)
+
 
 class ArmFrames(NamedTuple):
     """N frames of one arm of a session: their model, their fits, and the values of the blocks on which they depend."""
@@ -113,7 +123,7 @@ class ArmEquations:
     squared Mahalanobis distances between outline and prediction. ``frame_information`` (N, K, K) and ``frame_slopes``
     (N, K) are what each frame adds to the information matrix and to the gradient of half the sum of squares, less where
     frames count as a share of one; ``independent`` (K, K) the covariance of the sum of these gradients if the frames
-    were independent.
+    were independent. ``by_lag`` (K,) is the change of their sum by one standard deviation of the lag.
     """
 
     calibration: Calibration
@@ -122,6 +132,7 @@ class ArmEquations:
     frame_information: Float64
     frame_slopes: Float64
     independent: Float64
+    by_lag: Float64
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +141,8 @@ class Whole:
 
     ``places`` are those of each arm's unknowns among them. ``information`` (G, G), ``gradient`` (G,); ``independent``
     (G, G) is the covariance of the gradient if the frames were independent, ``scattered`` (G, G) that by the scatter of
-    successive parts of the recording.
+    successive parts of the recording; ``by_lag`` (G,) is the change of the gradient by one standard deviation of the
+    lag.
     """
 
     places: tuple[Indices, ...]
@@ -138,12 +150,13 @@ class Whole:
     gradient: Float64
     independent: Float64
     scattered: Float64
+    by_lag: Float64
 
     @classmethod
     def of(cls, arms: Sequence[ArmEquations]) -> Whole:
         """Stack the equations of the arms."""
         places, count = _places([arm.calibration for arm in arms])
-        prior, deviation = np.zeros((count, count)), np.zeros(count)
+        prior, deviation, by_lag = np.zeros((count, count)), np.zeros(count), np.zeros(count)
         for arm, place in zip(arms, places, strict=True):
             prior[np.ix_(place, place)] = arm.calibration.information
             deviation[place] = arm.calibration.deviation
@@ -154,17 +167,20 @@ class Whole:
             information[both] += arm.frame_information.sum(axis=0)
             independent[both] += arm.independent
             gradient[place] += arm.frame_slopes.sum(axis=0)
+            by_lag[place] += arm.by_lag
             sums = [part.sum(axis=0) for part in np.array_split(arm.frame_slopes, min(_PARTS, len(arm.weights)))]
             parts[: len(sums), place] += np.array(sums)
         used = parts[: max(min(_PARTS, len(arm.weights)) for arm in arms)]
         scattered = np.atleast_2d(len(used) * np.cov(used, rowvar=False))
-        return cls(places, information, gradient, independent, scattered)
+        return cls(places, information, gradient, independent, scattered, by_lag)
 
     def covariance_of(self, inverse: Float64) -> Float64:
         """Return the covariance (G, G) for a given inverse (G, G) of the information, as with something added to it."""
-        others = [np.diag(inverse @ slopes @ inverse) for slopes in (self.independent, self.scattered)]
-        factor = np.sqrt(np.maximum(np.max(others, axis=0) / np.diag(inverse), 1.0))
-        return np.asarray(factor[:, None] * inverse * factor)
+        of_lag = np.outer(self.by_lag, self.by_lag)
+        expected = inverse + inverse @ of_lag @ inverse
+        others = [np.diag(inverse @ slopes @ inverse) for slopes in (self.independent + of_lag, self.scattered)]
+        factor = np.sqrt(np.maximum(np.max(others, axis=0) / np.diag(expected), 1.0))
+        return np.asarray(factor[:, None] * expected * factor)
 
 
 def _places(calibrations: Sequence[Calibration]) -> tuple[tuple[Indices, ...], int]:
@@ -240,6 +256,10 @@ def marginalise(model: SessionModel, fits: FrameFits, calibration: Calibration) 
     return eliminate(fits.outlines, predicted, information, calibration.further - fits.further)
 
 
+Solver = Callable[[Sequence[ArmFrames]], tuple[list[SessionModel], list[Solved]]]
+"""Estimates the calibrations of arms from their frames, as `solve_arms`; the models may change."""
+
+
 def solve(model: SessionModel, fits: FrameFits, start: Calibration) -> Solved:
     """Estimate the calibration of an arm by itself, as `solve_arms`."""
     return solve_arms([ArmFrames(model, fits, start)])[0]
@@ -266,6 +286,11 @@ def solve_arms(arms: Sequence[ArmFrames], *, steps: int = MOST_STEPS) -> list[So
         if step @ whole.information @ step < 1e-6 * len(step):
             break
     return solutions
+
+
+def solve_unchanged(arms: Sequence[ArmFrames]) -> tuple[list[SessionModel], list[Solved]]:
+    """Estimate the calibrations as `solve_arms`, and return the models as they were, too."""
+    return [arm.model for arm in arms], solve_arms(arms)
 
 
 def solve_with_modes(model: SessionModel, modes: Sequence[Sequence[Mode]], start: Calibration) -> Solved:
@@ -300,7 +325,11 @@ def _equations(model: SessionModel, fits: FrameFits, calibration: Calibration) -
     frame_information = weighted @ frames.left.information @ jacobian
     frame_slopes = times(weighted, frames.left.slope)
     independent = np.einsum("n,nij->ij", shares, frame_information)
-    return ArmEquations(calibration, weights, misfit, frame_information, frame_slopes, independent)
+    by_lag = np.zeros(jacobian.shape[2])
+    if fits.by_lag is not None:
+        own = fits.outlines.dimension - len(fits.further)
+        by_lag = times(weighted @ frames.left.information[:, :, :own], fits.by_lag).sum(axis=0)
+    return ArmEquations(calibration, weights, misfit, frame_information, frame_slopes, independent, by_lag)
 
 
 def _misfit(frames: Eliminated, optimum: Float64) -> Float64:
