@@ -71,22 +71,11 @@ class OwnEstimate:
 
 
 @dataclass(frozen=True, eq=False)
-class LocalFit:
-    """A pose that was fitted with what was expected of it.
+class FrameFit:
+    """A frame's pose, fitted to its outlines with the session's prior.
 
     ``information`` (D, D), D = 6 + J, is the Gauss-Newton matrix of what the image alone shows at the fit, and
     ``slope`` (D,) the gradient of half its sum of squares.
-    """
-
-    at: Posed
-    information: Float64
-    slope: Float64
-
-
-@dataclass(frozen=True, eq=False)
-class FrameFit(LocalFit):
-    """A frame's pose, fitted to its outlines with the session's prior.
-
     ``evaluations`` is the number of silhouettes that were rendered. ``iou`` is the intersection over union of the fit's
     silhouette and the mask; ``own_iou`` is that of the frame's own estimate, 0 if not given.
     ``side_offsets`` (2,), px, are by how much the first view's mask lies outwards of both sides of the shaft; None
@@ -94,6 +83,9 @@ class FrameFit(LocalFit):
     pose, per px of the mean errors of all masks (`mean_errors`); None where that is not measured.
     """
 
+    at: Posed
+    information: Float64
+    slope: Float64
     evaluations: int = 0
     iou: float = 1.0
     own_iou: float = 0.0

@@ -25,7 +25,7 @@ from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Number, refused
 from dvrk_cmaes.pose.terms.coverage import of_margin
-from dvrk_cmaes.pose.terms.shared_errors import DIRECTIONS, MEAN_ERRORS, SIDES, image_axis
+from dvrk_cmaes.pose.terms.shared_errors import MEAN_ERRORS, SIDES
 
 MARGIN, BIAS = "margin", "mask_bias"
 """Names of the blocks."""
@@ -321,33 +321,6 @@ def change_by_margin(at: Posed, camera: Camera, instrument: Instrument) -> Float
     return along
 
 
-def changes_by_masks(at: Posed, camera: Camera, instrument: Instrument) -> Float64:
-    """Return the changes (D, 7) of a pose that fits an outline, per px of the masks' margin and of each bias.
-
-    Half of the error of a side of the shaft is a margin, which makes it seem nearer; half of it moves its axis aside.
-
-    Parameters
-    ----------
-    at
-        The pose.
-    camera, instrument
-        The camera that sees the instrument.
-    """
-    nearer = change_by_margin(at, camera, instrument)
-    moves = np.zeros((len(nearer), MEAN_ERRORS))
-    moves[:, 0] = nearer
-    if instrument.shaft is None:
-        return moves
-    along, aside = image_axis(instrument, camera, at)
-    across = np.array([-aside, along])
-    sides = np.column_stack([np.eye(SIDES), np.maximum(np.array([across, -across]) @ DIRECTIONS, 0.0)])
-    distance = float(np.linalg.norm(apply(at.pose, instrument.ends(at.joints)).mean(axis=0)))
-    moved = at.pose[:3, :3].T @ [*across, 0.0] * distance / camera.fx
-    moves[:, 1:] = np.outer(nearer, sides.mean(axis=0))
-    moves[:3, 1:] += np.outer(moved, (sides[0] - sides[1]) / SIDES)
-    return moves
-
-
 def covariance_of_masks(masks: SessionMasks | None, own: Float64, by_calibration: Float64 | None = None) -> Float64:
     """Return the covariance (D, D) of a pose by the errors that all masks of a session share.
 
@@ -356,7 +329,7 @@ def covariance_of_masks(masks: SessionMasks | None, own: Float64, by_calibration
     masks
         What the session tells of these errors; None where they were not estimated.
     own : (D, 7)
-        Changes of the pose by the errors in its own mask, given the calibration, as of `changes_by_masks`.
+        Changes of the pose by the errors in its own mask, px, given the calibration.
     by_calibration : (D, K)
         Changes of the pose with the calibration, which the same errors have moved; None if it does not rest on one.
     """
