@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -68,7 +68,7 @@ def find_pieces(
     consensus: Consensus,
     *,
     alike: float = 1.0,
-) -> tuple[Pieces, Indices] | None:
+) -> Pieces | None:
     """Find the pieces of a session whose base or camera moved without readings that show, None if it stood still.
 
     A change-point search: the pieces are those of least cost, the sum of the frames' robust costs at the base of their
@@ -86,22 +86,48 @@ def find_pieces(
 
     Returns
     -------
-    (Pieces, (N,)) or None
-        The pieces of all frames, of which that with most frames is the reference, and which frames (K,) agree with
-        their piece.
+    Pieces or None
+        The pieces of all frames, of which that with most frames is the reference.
     """
     if not _disagree_together(consensus.agree):
         return None
-    bases, cut = _bases_of_runs(model, modes, float(consensus.calibration.offsets[1])), None
-    for _ in range(_MOST_SEARCHES):
-        if not bases:
-            return None
+    bases = _bases_of_runs(model, modes, float(consensus.calibration.offsets[1]))
+    pieces = np.zeros(0, np.intp)
+    for _ in range(_MOST_SEARCHES if bases else 0):
         costs = np.array([agreement(model, modes, base).cost for base in bases]) / alike
-        before, cut = cut, _Cut.of(model, modes, bases, _fewest_changes(costs))
-        if before is not None and _same_pieces(before, cut):
+        before, (pieces, cameras, solution) = pieces, _solved(model, modes, bases, _fewest_changes(costs))
+        if np.array_equal(before, pieces):
             break
-        bases = cut.bases
-    return None if cut is None or cut.pieces is None else (cut.pieces, np.flatnonzero(cut.agree))
+        found = solution.calibration.without(ENDOSCOPE)
+        bases = [found, *(found.with_blocks(base=move @ found.camera_from_base) for move in cameras)]
+    return Pieces.of(pieces, cameras) if pieces.any() else None
+
+
+def _solved(
+    model: SessionModel, modes: Sequence[Sequence[Mode]], bases: Sequence[Calibration], place: Indices
+) -> tuple[Indices, Float64, Solved]:
+    """Solve N frames, each of which is at one of some bases (N,), with all else shared.
+
+    Returns the numbers of their pieces (N,), that with most frames first, the reference camera in the others (P, 4, 4),
+    and the solution.
+    """
+    held, number, counts = np.unique(place, return_inverse=True, return_counts=True)
+    order = np.argsort(-counts, kind="stable")
+    pieces, start = np.argsort(order)[number], bases[held[order[0]]]
+    moves = [bases[k].camera_from_base @ inverse(start.camera_from_base) for k in held[order[1:]]]
+    cut = Pieces.of(pieces, np.array(moves).reshape(-1, 4, 4))
+    if not moves:
+        return pieces, cut.start.poses, solve_with_modes(model, modes, start)
+    start = start.with_blocks(cut.block, endoscope=cut.start)
+    solution = solve_with_modes(replace(model, endoscope=cut), modes, start)
+    values = solution.calibration.endoscope
+    assert values is not None
+    return pieces, values.poses, solution
+
+
+def _agreeing(solution: Solved) -> NDArray[np.bool_]:
+    """Return which frames (N,) agree with the base of their piece."""
+    return np.asarray(solution.misfit < INLIER_MISFIT * (4 + len(solution.calibration.offsets)))
 
 
 def _bases_of_runs(model: SessionModel, modes: Sequence[Sequence[Mode]], roll: float) -> list[Calibration]:
@@ -113,56 +139,10 @@ def _bases_of_runs(model: SessionModel, modes: Sequence[Sequence[Mode]], roll: f
         own, own_modes = model.subset(index), [modes[i] for i in index]
         start = find_consensus(own, own_modes, roll=roll).calibration
         solution = solve_with_modes(own, own_modes, start)
-        agree = solution.misfit < INLIER_MISFIT * (4 + len(solution.calibration.offsets))
+        agree = _agreeing(solution)
         if agree.sum() >= max(LEAST_PIECE, _AGREE * len(agree)):
             found.append(solution.calibration)
     return found
-
-
-def _same_pieces(one: _Cut, other: _Cut) -> bool:
-    """Whether two cuts have the same pieces."""
-    if one.pieces is None or other.pieces is None:
-        return one.pieces is other.pieces
-    return np.array_equal(one.pieces.piece, other.pieces.piece)
-
-
-@dataclass(frozen=True, eq=False)
-class _Cut:
-    """All frames solved with a base for each piece, and all else shared; ``pieces`` is None where there is one."""
-
-    pieces: Pieces | None
-    solution: Solved
-
-    @classmethod
-    def of(
-        cls,
-        model: SessionModel,
-        modes: Sequence[Sequence[Mode]],
-        bases: Sequence[Calibration],
-        place: Indices,
-    ) -> _Cut:
-        """Solve frames, each of which is at one of some bases (N,); the piece with most frames is the reference."""
-        held, number, counts = np.unique(place, return_inverse=True, return_counts=True)
-        order = np.argsort(-counts, kind="stable")
-        start, pieces = bases[held[order[0]]], None
-        if len(held) > 1:
-            cameras = [bases[k].camera_from_base @ inverse(start.camera_from_base) for k in held[order[1:]]]
-            pieces = Pieces.of(np.argsort(order)[number], np.array(cameras))
-            start = start.with_blocks(pieces.block, endoscope=pieces.start)
-        solution = solve_with_modes(replace(model, endoscope=pieces), modes, start)
-        return cls(pieces, solution)
-
-    @property
-    def bases(self) -> list[Calibration]:
-        """The base of each piece, with the shared offsets."""
-        found, values = self.solution.calibration.without(ENDOSCOPE), self.solution.calibration.endoscope
-        moves = [] if values is None else list(values.poses)
-        return [found, *(found.with_blocks(base=move @ found.camera_from_base) for move in moves)]
-
-    @property
-    def agree(self) -> NDArray[np.bool_]:
-        """Which frames (N,) agree with the base of their piece."""
-        return np.asarray(self.solution.misfit < INLIER_MISFIT * (4 + len(self.solution.calibration.offsets)))
 
 
 def _disagree_together(agree: NDArray[np.bool_]) -> bool:

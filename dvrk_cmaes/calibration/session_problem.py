@@ -23,10 +23,8 @@ from dvrk_cmaes.calibration.consensus import (
     check_arm,
     check_motion,
     choose_modes,
-    find_consensus,
     find_consensus_at_any_roll,
 )
-from dvrk_cmaes.calibration.endoscope import Pieces
 from dvrk_cmaes.calibration.endoscope_search import describe_pieces, find_pieces
 from dvrk_cmaes.calibration.frame_fit import FrameFit, first_starts, next_starts
 from dvrk_cmaes.calibration.frame_task import Run, SessionFrame, fit_task, gather_task, with_changed_cameras
@@ -328,39 +326,18 @@ def _less_lag(arm: ArmSession) -> ArmSession:
 
 
 def _on_one_base(arm: ArmSession) -> tuple[ArmSession, Consensus]:
-    """Return the consensus of the frames, in pieces if the base moved between them.
-
-    Pieces in which the lag was found are looked for again with the lag taken out: with it, a moving arm seems to have
-    another base.
-    """
-    lost = isinstance(arm.model.endoscope, Pieces)
-    if lost:
-        arm = replace(arm, model=replace(arm.model, endoscope=None))
+    """Return the consensus of the frames, in pieces if the base moved between them."""
     consensus = find_consensus_at_any_roll(arm.model, arm.modes)
-    if not lost:
-        check_arm(arm.model, arm.modes, consensus)
-    cut = in_pieces(arm, consensus) if arm.model.endoscope is None else None
-    if cut is not None:
-        arm, consensus = cut, find_consensus_at_any_roll(cut.model, cut.modes)
-        assert isinstance(cut.model.endoscope, Pieces)
-        arm = cut.noted(remarks=[describe_pieces(cut.model.endoscope, cut.frames)])
-    if lost:
-        check_arm(arm.model, arm.modes, consensus)
-    return arm, consensus
-
-
-def in_pieces(arm: ArmSession, consensus: Consensus | None = None) -> ArmSession | None:
-    """Return an arm in the pieces in which its base stands still; None if it is not to be cut.
-
-    ``consensus`` is that of all frames, if it is known.
-    """
-    if not arm.setup.may_cut:
-        return None
-    if consensus is None:
-        consensus = find_consensus(arm.model, arm.modes)
+    check_arm(arm.model, arm.modes, consensus)
+    if arm.model.endoscope is not None or not arm.setup.may_cut:
+        return arm, consensus
     alike = float(np.median(frames_alike(arm.times, arm.setup.config.session.alike_seconds)))
-    found = find_pieces(arm.model, arm.modes, consensus, alike=alike)
-    return None if found is None else replace(arm, model=replace(arm.model, endoscope=found[0]))
+    pieces = find_pieces(arm.model, arm.modes, consensus, alike=alike)
+    if pieces is None:
+        return arm, consensus
+    cut = replace(arm, model=replace(arm.model, endoscope=pieces))
+    cut = cut.noted(remarks=[describe_pieces(pieces, arm.frames)])
+    return cut, find_consensus_at_any_roll(cut.model, cut.modes)
 
 
 def solved(arms: Arms) -> Arms:

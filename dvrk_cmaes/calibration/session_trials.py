@@ -21,7 +21,6 @@ from dvrk_cmaes.calibration.session_problem import (
     Arms,
     ArmSession,
     ArmSetup,
-    in_pieces,
     initialised,
     solved,
     with_common_lag,
@@ -59,11 +58,12 @@ def solve_session(arms: Arms) -> Arms:
 
 
 def started(arms: Arms) -> Arms:
-    """Find the endoscope, and the lag by the modes of the frames; pieces where frames agree at no lag in one."""
+    """Find the endoscope, and the lag by the modes of the frames."""
     found = list[ArmSession]()
     for arm in arms:
         first = found[0].model.endoscope if found else None
-        found.append(_with_lag_of_modes(_with_readings(arm, first if isinstance(first, Steered) else None)))
+        arm = _with_readings(arm, first if isinstance(first, Steered) else None)
+        found.append(replace(arm, lag=arm.lag.searched(arm.model, arm.modes)))
     return with_common_lag(found)
 
 
@@ -78,18 +78,6 @@ def _with_readings(arm: ArmSession, first: Steered | None) -> ArmSession:
         return arm
     arm.setup.progress("finding the camera in the endoscope", len(arm.frames))
     return replace(arm, model=replace(arm.model, endoscope=find_hand_eye(arm.model, arm.modes, steered)))
-
-
-def _with_lag_of_modes(arm: ArmSession) -> ArmSession:
-    """Return an arm with its lag; frames that agree at no lag are cut in pieces, if they agree at one so."""
-    arm = replace(arm, lag=arm.lag.searched(arm.model, arm.modes))
-    if not arm.lag.nowhere or arm.model.endoscope is not None:
-        return arm
-    cut = in_pieces(arm)
-    if cut is None:
-        return arm
-    again = replace(cut, lag=cut.lag.searched(cut.model, cut.modes))
-    return arm if again.lag.nowhere else again
 
 
 def _solved(arms: Arms) -> Arms:
