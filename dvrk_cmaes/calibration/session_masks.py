@@ -19,9 +19,7 @@ import numpy as np
 from dvrk_cmaes.calibration.blocks import Calibration, OutlineOfView, SeenBlock, ViewAsSeen
 from dvrk_cmaes.calibration.linearise import ArmOutlines, Linearised, linearise
 from dvrk_cmaes.calibration.solve import ArmFrames, marginalise, solve_arms, solve_unchanged
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import Float64, Posed, apply
-from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Number, refused
 from dvrk_cmaes.pose.terms.coverage import of_margin
@@ -306,19 +304,6 @@ def _likely_sizes(information: Float64, slope: Float64, usual_px: float) -> Floa
         probability = np.exp(logs - logs.max())
         std[i] = np.exp(probability @ np.log(_SIZES) / probability.sum()) if alone > 0 else _NONE
     return std
-
-
-def change_by_margin(at: Posed, camera: Camera, instrument: Instrument) -> Float64:
-    """Return the change (D,) of a pose, per px, by which an outline seems wider on every side: the tool is nearer.
-
-    A shaft that looks wider by twice the margin is nearer in the same proportion.
-    """
-    along = np.zeros(6 + len(at.joints))
-    if instrument.shaft is not None:
-        tips = apply(at.pose, instrument.ends(at.joints)).mean(axis=0)
-        width = camera.fx * 2 * instrument.shaft.radius / float(np.linalg.norm(tips))
-        along[:3] = -at.pose[:3, :3].T @ tips * 2 / width
-    return along
 
 
 def covariance_of_masks(masks: SessionMasks | None, own: Float64, by_calibration: Float64 | None = None) -> Float64:
