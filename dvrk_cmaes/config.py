@@ -77,7 +77,7 @@ class SearchConfig:
         Whether candidates are drawn from the shaft's edges in the mask, where these are found.
     free_share
         Fraction of the candidates that are drawn from the LookAt space without using the shaft's edges.
-    unread_share
+    uniform_joints_share
         Fraction of the candidates whose joints are drawn uniformly within their limits instead of around the readings.
     """
 
@@ -89,7 +89,7 @@ class SearchConfig:
     detail_m: float = field(default=6e-4, metadata=Limits(least=1e-6).metadata)
     use_edges: bool = True
     free_share: float = field(default=0.15, metadata=_SHARE_OR_ZERO)
-    unread_share: float = 0.25
+    uniform_joints_share: float = 0.25
 
 
 @dataclass(frozen=True)
@@ -303,7 +303,7 @@ class SessionConfig:
         offsets: of the outer yaw and pitch, of insertion, roll, the wrist's joints and the jaw.
     spread_frames
         Weight of these initial values in the estimated variances, as a number of frames.
-    arm_growth, cable_growth
+    arm_std_factor, cable_std_factor
         Largest factors on the initial standard deviations: of the outer yaw and pitch (half of it for insertion), and
         of roll, the wrist's joints and the jaw.
     tail
@@ -347,8 +347,8 @@ class SessionConfig:
     wrist_deg: float = 3.5
     jaw_deg: float = 5.0
     spread_frames: float = 1.0
-    arm_growth: float = 5.0
-    cable_growth: float = 1.5
+    arm_std_factor: float = 5.0
+    cable_std_factor: float = 1.5
     tail: float = 2.0
     slack_mm: float = 0.2
     slack_deg: float = 0.1
@@ -442,6 +442,9 @@ def _as_dict(tree: Any) -> dict[str, Any]:
 
 
 REMOVED = {
+    "search.unread_share": "see search.uniform_joints_share",
+    "session.arm_growth": "see session.arm_std_factor",
+    "session.cable_growth": "see session.cable_std_factor",
     "session.rounds": "frames and session are solved in four rounds",
     "session.masks_again": "masks stay as `batch` found them",
     "track.modes": "the most probable mode is followed",

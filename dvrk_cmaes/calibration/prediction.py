@@ -109,7 +109,7 @@ class Prediction:
     deviations from there, ``shared`` (N, D, D) that by the calibration's errors, and ``jacobian`` (N, D, K) the change
     of ``at`` with the calibration. ``base_from_root`` (N, 4, 4), m, are those of the readings, ``read`` (N, J) the
     joints' readings, rad, NaN without one, and ``roll_offset`` (N,), rad, what the calibration adds to that of roll.
-    ``told`` (N,) is whether the outer joints were read.
+    ``outer_read`` (N,) is whether the outer joints were read.
     """
 
     at: Posed
@@ -119,7 +119,7 @@ class Prediction:
     base_from_root: Float64
     read: Float64
     roll_offset: Float64
-    told: Bool
+    outer_read: Bool
 
     @classmethod
     def of(
@@ -129,7 +129,7 @@ class Prediction:
         joints: Float64,
         joint_names: tuple[str, ...],
         *,
-        told: Bool | None = None,
+        outer_read: Bool | None = None,
         moving: Bool | None = None,
         errors: Float64 | None = None,
         late: Float64 | None = None,
@@ -147,7 +147,7 @@ class Prediction:
             Readings of the outer joints at the times of the images less the lag, rad and m.
         joints : (N, J)
             Those of the instrument's joints, rad; NaN where there is none.
-        told, moving : (N,)
+        outer_read, moving : (N,)
             Whether the outer joints were read then, and whether their readings are those of a moving arm; by default
             both. Otherwise the arm may be elsewhere.
         errors : (N, 4)
@@ -163,11 +163,11 @@ class Prediction:
         """
         model, own = calibration.model(outer, joints, joint_names, endoscope)
         at, prior, jacobian = model.predict(own), model.covariance(own), model.jacobian(own)
-        told = np.ones(len(outer), np.bool_) if told is None else told
+        outer_read = np.ones(len(outer), np.bool_) if outer_read is None else outer_read
         covariance = calibration_covariance(calibration, widened)
         jacobian = np.pad(jacobian, ((0, 0), (0, 0), (0, len(covariance) - jacobian.shape[2])))
         wide = np.diag([_UNREAD_M**2] * 3 + [_UNREAD_RAD**2] * (3 + len(joint_names)))
-        prior[~(told if moving is None else told & moving)] += wide
+        prior[~(outer_read if moving is None else outer_read & moving)] += wide
         changes = _changes(late, errors, len(joint_names))
         image, off = _by_changes(calibration, outer, joints, joint_names, changes, endoscope, at)
         np.add.at(prior, image, off[:, :, None] * off[:, None, :])
@@ -182,7 +182,7 @@ class Prediction:
             model.base_from_root(own.offsets),
             joints,
             own.offsets[1] + model.correction.values[:, 0],
-            told,
+            outer_read,
         )
 
     def without_calibration(self) -> Prediction:
@@ -202,7 +202,7 @@ class Prediction:
     def offsets(self, number: int, at: Posed, joint_names: Sequence[str]) -> dict[str, float]:
         """Return the offsets, rad, of roll and of the joints that were read, of one image: true = reading + offset."""
         found = {}
-        if self.told[number]:
+        if self.outer_read[number]:
             found["roll"] = float(self.roll_offset[number] + at.minus(self.at[number])[ROLL])
         for name, value, read in zip(joint_names, at.joints.tolist(), self.read[number].tolist(), strict=True):
             if not np.isnan(read):

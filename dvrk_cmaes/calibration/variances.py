@@ -73,14 +73,14 @@ def estimate_variances(
     current, loadings = model.deviations, model.outer_loadings(solution.calibration)
     outer = start.outer.copy()
     turns = (squares.of(loadings[0]) + squares.of(loadings[1])) / 2
-    rotation = squares.new_std(start.outer[0], current.outer[0], turns, config.arm_growth)
-    insertion = squares.new_std(start.outer[2], current.outer[2], squares.of(loadings[2]), config.arm_growth / 2)
+    rotation = squares.new_std(start.outer[0], current.outer[0], turns, config.arm_std_factor)
+    insertion = squares.new_std(start.outer[2], current.outer[2], squares.of(loadings[2]), config.arm_std_factor / 2)
     outer[:2], outer[2] = max(rotation, start.outer[0]), max(insertion, start.outer[2])
-    outer[3] = squares.new_std(start.outer[3], current.outer[3], squares.of(loadings[3]), config.cable_growth)
+    outer[3] = squares.new_std(start.outer[3], current.outer[3], squares.of(loadings[3]), config.cable_std_factor)
     joints = np.zeros_like(start.joints)
     for j in range(len(joints)):
         own = squares.along(6 + j, current.joints[j] * model.inflation[:, 1 + j])
-        joints[j] = squares.new_std(start.joints[j], current.joints[j], own, config.cable_growth)
+        joints[j] = squares.new_std(start.joints[j], current.joints[j], own, config.cable_std_factor)
     slack = start.slack.copy()
     for part in (slice(0, 3), slice(3, 6)):
         own = np.mean([squares.along(k, current.slack[k]) for k in range(6)[part]], axis=0)

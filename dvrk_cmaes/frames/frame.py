@@ -35,7 +35,7 @@ Window = tuple[int, int, int, int]
 """Left, top, width and height of a part of a picture, px."""
 
 _LARGEST = 400_000_000  # bytes
-_BESIDE = 2  # px beside another tool, where its outline and this one's cannot be distinguished
+_NEAR = 2  # px beside another tool, where its outline and this one's cannot be distinguished
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,7 +325,7 @@ def _ignored(files: FrameFiles, shape: tuple[int, ...], what: str) -> Bool | Non
 
 def with_tool(ignore: Bool | None, tool: Bool) -> Bool:
     """Add the pixels (H, W) of another tool, and those close beside it, to pixels that count neither way."""
-    near = cv2.dilate(tool.astype(np.uint8), np.ones((3, 3), np.uint8), iterations=_BESIDE).astype(np.bool_)
+    near = cv2.dilate(tool.astype(np.uint8), np.ones((3, 3), np.uint8), iterations=_NEAR).astype(np.bool_)
     return near if ignore is None else ignore | near
 
 

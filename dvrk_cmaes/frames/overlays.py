@@ -35,8 +35,8 @@ _MOSTLY: Final = 0.75  # ... in this share of the images
 _LEAST: Final = 40  # px of a text
 _LARGEST: Final = 0.1  # share of the picture of one text
 _ALL: Final = 0.4  # share of the picture with what may be text, and about it
-_LASTING: Final = 0.2  # share of the variance of details that lasts, from which on camera and scene stand still
-_BESIDE: Final = 3  # px, by which a text is widened: compression smears it
+_STATIC: Final = 0.2  # share of the variance of details that stays the same, from which on camera and scene stand still
+_SMEARED: Final = 3  # px, by which a text is widened: compression smears it
 _INSTRUMENT: Final = 0.3  # share of a text that is in a mask, in half of the masks or more, if it is the instrument
 
 
@@ -90,7 +90,7 @@ def _texts(images: Sequence[Image], inside: Bool, masks: Sequence[Bool]) -> Bool
             and block.sum() <= _LARGEST * inside.sum()
             and not _is_instrument(block, masks, at_edge=bool((block & edge).any()))
         ):
-            texts |= _widened(one, _BESIDE) > 0
+            texts |= _widened(one, _SMEARED) > 0
     elsewhere = inside & (_widened(joined, around // 2) == 0)
     if elsewhere.sum() < (1 - _ALL) * inside.sum() or _stand_still(details, elsewhere):
         return none
@@ -101,7 +101,7 @@ def _stand_still(details: Sequence[Float32], where: Bool) -> bool:
     """Whether the details (H, W) of images are in the same places: their mean then varies as each of them does."""
     clipped = [np.clip(each[where], -_STANDS_OUT, _STANDS_OUT) for each in details]
     one = float(np.mean([each.var() for each in clipped]))
-    return float(np.mean(clipped, axis=0).var()) > (_LASTING + 1 / len(clipped)) * one
+    return float(np.mean(clipped, axis=0).var()) > (_STATIC + 1 / len(clipped)) * one
 
 
 def _ranges(images: Sequence[Image]) -> Image:

@@ -40,7 +40,7 @@ from dvrk_cmaes.joints.times import parse_time, parse_times, time_column
 
 _FIELD: Final = re.compile(r"field\.(name|position)(\d+)")
 _PLOTTED: Final = re.compile(r"/(?:(\w+)/)?(?:\w+/)*?(\w+)/position")
-_PLOTTED_BESIDE: Final = re.compile(r"/.*/(?:velocity|effort)")
+_PLOTTED_UNREAD: Final = re.compile(r"/.*/(?:velocity|effort)")
 _UNIT: Final = re.compile(r"(\w+?)(?:_| *\[| *\()(deg|degrees?|rad|mm|cm|m|s|sec|ms|us|ns)[\])]?", re.IGNORECASE)
 _ANGLES: Final = {"deg": math.pi / 180, "rad": 1.0}
 _LENGTHS: Final = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
@@ -117,7 +117,7 @@ def _of_plotjuggler(name: str) -> str | None:
     if plotted is not None:
         arm = plotted[1] or ""
         return f"{arm}_{plotted[2]}" if arm.upper().startswith(("PSM", "ECM", "MTM")) else plotted[2]
-    return "time" if name == "__time" else None if _PLOTTED_BESIDE.fullmatch(name) else name
+    return "time" if name == "__time" else None if _PLOTTED_UNREAD.fullmatch(name) else name
 
 
 def _times(cell: str, factor: float) -> str:

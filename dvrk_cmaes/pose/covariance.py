@@ -42,7 +42,7 @@ def pose_covariance(modes: Sequence[Fit], quality: Quality) -> Float64:
     """Return the covariance (6 + J, 6 + J) of small changes of the first mode, whose ``quality`` is given.
 
     It includes the other modes within 60 degrees, each with its share of the probability. Modes farther away, such as
-    the mirror twin, are not a small change of the pose; they are told by the mode's probability.
+    the mirror twin, are not a small change of the pose; they are in the mode's probability.
     """
     best, weights = modes[0], mode_weights(modes)
     covariance = np.linalg.inv(best.information) * _occlusion_factor(quality)

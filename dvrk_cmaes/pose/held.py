@@ -19,7 +19,7 @@ HELD: Final = "something thin is held in the jaws: its pixels do not count"
 _THICK: Final = 0.2  # of the shaft's width: a thing that is thicker anywhere is none of these
 _REACH: Final = 0.3  # of the shaft's width, that one reaches beyond the silhouette at least
 _COVERED: Final = 0.97  # least share of the silhouette that the mask covers: the rest of it fits
-_BESIDE_PX: Final = 2  # of the silhouette, where its own outline lies
+_NEAR_PX: Final = 2  # of the silhouette, where its own outline lies
 
 
 def without(view: SeenView, held: Bool | None) -> SeenView:
@@ -38,7 +38,7 @@ def held_in(view: FrameView, at: Posed) -> Bool | None:
     if width is None or not shown.any() or (shown & evidence.mask).sum() < _COVERED * shown.sum():
         return None
     away = cv2.distanceTransform((~silhouette).astype(np.uint8), cv2.DIST_L2, 5)
-    beyond = (evidence.mask & (away > _BESIDE_PX)).astype(np.uint8)
+    beyond = (evidence.mask & (away > _NEAR_PX)).astype(np.uint8)
     thickness = 2 * cv2.distanceTransform(beyond, cv2.DIST_L2, 5)
     count, labels = cv2.connectedComponents(beyond, connectivity=8)
     held = np.zeros_like(silhouette)
@@ -48,5 +48,5 @@ def held_in(view: FrameView, at: Posed) -> Bool | None:
             held |= own
     if not held.any():
         return None
-    around = cv2.dilate(held.astype(np.uint8), np.ones((2 * _BESIDE_PX + 3,) * 2, np.uint8)) > 0
+    around = cv2.dilate(held.astype(np.uint8), np.ones((2 * _NEAR_PX + 3,) * 2, np.uint8)) > 0
     return np.asarray(around & ~silhouette)

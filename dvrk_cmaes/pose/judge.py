@@ -254,9 +254,9 @@ def exchanged_readings(found: Float64, read: Float64, instrument: Instrument) ->
     if not set(_WRIST) <= set(instrument.joint_names):
         return []
     index = [instrument.joint_names.index(name) for name in _WRIST]
-    told = ~np.isnan(read[:, index]).any(axis=1)
-    wrist, as_read = found[told][:, index], read[told][:, index]
-    if not told.any():
+    has_reading = ~np.isnan(read[:, index]).any(axis=1)
+    wrist, as_read = found[has_reading][:, index], read[has_reading][:, index]
+    if not has_reading.any():
         return []
     far, near = (np.linalg.norm(wrist - values, axis=1) for values in (as_read, as_read[:, ::-1]))
     rms = float(np.sqrt(np.mean(far**2)))

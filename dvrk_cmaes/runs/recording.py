@@ -152,7 +152,7 @@ def predict(
     errors = np.array([one.error for one in sparse])
     moving = ~recorded.frozen
     predicted = Prediction.of(
-        session, outer, joints, joint_names, told=has_outer, moving=moving, errors=errors, endoscope=endoscope
+        session, outer, joints, joint_names, outer_read=has_outer, moving=moving, errors=errors, endoscope=endoscope
     )
     return predicted, sparse
 
@@ -260,7 +260,7 @@ def follow_window(solution: RecordedSolution, work: ArmSetup) -> list[TrackResul
         if solution.colours is not None:
             doubts += far_joints(found[i][0], image.at, predicted.spread[i], instrument.joint_names)
         doubts += reasons(
-            readings_missing(bool(predicted.told[i]), still=False, source=source),
+            readings_missing(bool(predicted.outer_read[i]), still=False, source=source),
             readings_too_sparse(sparse[i]),
             readings_frozen(frozen[i]),
         )

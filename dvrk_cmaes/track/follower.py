@@ -132,7 +132,7 @@ class Follower:
             outer[None],
             reading.joints[None],
             self._given.instrument.joint_names,
-            told=np.array([reading.has_outer and (endoscope is None) == (self.calibration.endoscope is None)]),
+            outer_read=np.array([reading.has_outer and (endoscope is None) == (self.calibration.endoscope is None)]),
             moving=np.array([not reading.still]),
             errors=None if reading.sparse is None else reading.sparse.error[None],
             late=lag_std * reading.rates[None] if lag_std > 0 else None,

@@ -98,7 +98,7 @@ def best_of_first(
                 joints = sample_joints(readings, np.zeros(count, dtype=np.bool_), rng)
                 at = Posed(poses, joints)
             else:
-                search = replace(config.search, samples=count, use_edges=space == EDGES, unread_share=0.0)
+                search = replace(config.search, samples=count, use_edges=space == EDGES, uniform_joints_share=0.0)
                 at, _ = draw_starts(evidence, instrument, readings, replace(config, search=search), rng)
             losses = objective.terms(at).total(weights)[rng.permutation(count)]
             best[space].append(np.minimum.accumulate(losses)[np.array(COUNTS) - 1])

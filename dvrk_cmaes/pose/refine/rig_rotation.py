@@ -38,7 +38,7 @@ def rotations_of_views(
 
     ``informations`` (6 + J, 6 + J) are those of the views at the pose, as by `information_of_views`. One step suffices
     for views that agree within the errors. Others are turned and fitted further, because the errors of the contours can
-    only be told from the disagreement of the views once that is removed.
+    only be found from the disagreement of the views once that is removed.
     """
     if len(views) == 1:
         return []

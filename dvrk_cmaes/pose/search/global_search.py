@@ -55,15 +55,15 @@ def find_candidates(
     search, instrument = config.search, renderer.body.instrument
     sized = renderer.at(*search_size(evidence, search.width_px))
     objective = Objective(sized, evidence, readings, config)
-    drawn, unread = draw_starts(evidence, instrument, readings, config, np.random.default_rng(config.seed))
+    drawn, uniform = draw_starts(evidence, instrument, readings, config, np.random.default_rng(config.seed))
     if instrument.has_twin:
         drawn = _towards_readings(instrument, readings, drawn)
     terms = objective.terms(drawn)
     losses = terms.total(config.weights)
-    by_image = np.where(unread, losses - config.weights.readings * terms.readings, np.inf)
-    of_unread = search.starts // 4
-    chosen = _distinct(instrument, drawn, losses, search.starts - of_unread)
-    chosen += _distinct(instrument, drawn, by_image, of_unread)
+    by_image = np.where(uniform, losses - config.weights.readings * terms.readings, np.inf)
+    of_uniform = search.starts // 4
+    chosen = _distinct(instrument, drawn, losses, search.starts - of_uniform)
+    chosen += _distinct(instrument, drawn, by_image, of_uniform)
     starts = np.array(sorted(set(chosen), key=lambda k: losses[k]))
     begin, scale = drawn[starts], scale_of_change(readings)
 

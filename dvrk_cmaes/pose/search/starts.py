@@ -30,15 +30,15 @@ def lookat_pose(alpha: ArrayLike, beta: ArrayLike, gamma: ArrayLike, distance: A
     return transform(rotation, np.multiply.outer(distance, [0.0, 0.0, 1.0]))
 
 
-def sample_joints(readings: Readings, unread: Bool, rng: np.random.Generator) -> Float64:
+def sample_joints(readings: Readings, uniform: Bool, rng: np.random.Generator) -> Float64:
     """Draw joint values (N, J), rad, of N candidates: normal about the readings, and clipped to the limits.
 
-    They are uniform in the limits where there is no reading, and in candidates that are ``unread`` (N,).
+    They are uniform in the limits where there is no reading, and in candidates that are ``uniform`` (N,).
     """
-    size = len(unread), len(readings.values)
+    size = len(uniform), len(readings.values)
     near = np.clip(readings.values + readings.sigma * rng.standard_normal(size), readings.low, readings.high)
     free = rng.uniform(readings.low, readings.high, size)
-    return np.asarray(np.where(np.isnan(readings.values) | unread[:, None], free, near))
+    return np.asarray(np.where(np.isnan(readings.values) | uniform[:, None], free, near))
 
 
 def likely_distances(evidence: Evidence, instrument: Instrument) -> Float64 | None:
@@ -186,5 +186,5 @@ def draw_starts(
     poses = [_on_edges(pair, evidence, instrument, n, rng) for pair, n in zip(pairs, shares, strict=True)]
     distances = sample_distances(free, config.lookat, likely_distances(evidence, instrument), rng)
     poses.append(sample_lookat(distances, config.lookat, rng, camera=evidence.camera, mask=evidence.mask))
-    unread = rng.uniform(size=count) < config.search.unread_share
-    return Posed(np.concatenate(poses), sample_joints(readings, unread, rng)), unread
+    uniform = rng.uniform(size=count) < config.search.uniform_joints_share
+    return Posed(np.concatenate(poses), sample_joints(readings, uniform, rng)), uniform

@@ -4,8 +4,8 @@ A segmenter's errors do not average out along the contour. What stretches of con
 outwards, that are normal with zero mean and independent of each other: a margin of the whole mask; the error of each
 side of the shaft, as a whole and at nodes every 8 mm between which it is linear; and for each other link the error of
 what faces forwards, backwards and to each side. These are consider parameters: nobody asks for their values, and they
-are eliminated, so that the pose is told only by what they cannot explain. The errors of both sides of the shaft as a
-whole last for some tenths of a second: images of a session that follow each other share them, too.
+are eliminated, so that the pose is determined only by what they cannot explain. The errors of both sides of the shaft
+as a whole last for some tenths of a second: images of a session that follow each other share them, too.
 
 Their standard deviations are in proportion to the noise of the frame's contour. Noise that stays the same over more
 contour than a segmentation's usually does tells of shadows, which lie on the sides of the shaft above all. The factors

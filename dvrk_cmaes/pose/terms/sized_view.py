@@ -32,7 +32,7 @@ REACH = 4
 REMEMBERED = 64  # drawings that a view keeps
 _FARTHEST_SIDE = 8.0  # px, of the mask from a side of the shaft
 _FARTHEST = 4.0  # standard deviations of the blur to which its filter reaches
-_BESIDE_MARGIN = 3  # px beside a margin, on which what is left of a mask does not depend
+_AROUND_MARGIN = 3  # px beside a margin, on which what is left of a mask does not depend
 _BLURRED_IN = 2.0  # standard deviations of the blur, over which the mask's value at ignored pixels reaches others
 
 
@@ -64,7 +64,7 @@ class SizedView:
             size = max(camera.width // shrink, 8), max(camera.height // shrink, 8)
             mask = shrunk(less_margin(evidence.mask, margin) if np.any(margin) else evidence.share, *size)
         else:
-            reach = around + int(np.abs(margin).max()) + _BESIDE_MARGIN
+            reach = around + int(np.abs(margin).max()) + _AROUND_MARGIN
             first, above, width, height = window_around(evidence.mask, reach)
             inside = np.s_[above : above + height, first : first + width]
             part, own = evidence.mask[inside], margin if isinstance(margin, float) else margin[inside]
