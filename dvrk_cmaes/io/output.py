@@ -200,8 +200,9 @@ class Output:
             self.head, self.files = _parsed(data, self.path / RUN)
         if (command := self.head.pop("command", self.command)) != self.command:
             raise InputError(f"{self.path}: it has what `{command}` wrote, which stays as it is; choose another --out")
-        self._end = len(data) - len(_END)
-        if not data.endswith(_END):
+        if data.endswith(_END):
+            self._end = len(data) - len(_END)
+        elif not data:
             self.describe()
 
     def describe(self, head: Mapping[str, Any] | None = None) -> None:
@@ -229,6 +230,8 @@ class Output:
 
         Of a process that is killed before it writes the file, that is as it was before.
         """
+        if not self._end:  # run.json was cut off, or written by another program
+            self.describe()
         digests = self.files.pop(name, [])
         if digest is not None:
             self.files[name] = [*digests, digest]

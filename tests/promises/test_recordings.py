@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import shutil
 import signal
-import threading
-import time
 from collections.abc import Iterable, Mapping
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -249,19 +247,18 @@ def short(kept: Kept) -> tuple[object, ...]:
 
 
 def test_interrupted_run_begins_anew_with_the_same_results(
-    kept: Kept, short: tuple[object, ...], tmp_path: Path
+    kept: Kept, short: tuple[object, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    lines = tmp_path / "out" / "tracks.jsonl"
+    lines, step, steps = tmp_path / "out" / "tracks.jsonl", Tracker.step, count()
 
-    def interrupt() -> None:
-        while not lines.exists() or lines.read_bytes().count(b"\n") < 3:
-            time.sleep(0.01)
-        os.kill(os.getpid(), signal.SIGINT)
+    def interrupted(*args: Any, **options: Any) -> Any:
+        if next(steps) == 4:
+            signal.raise_signal(signal.SIGINT)
+        return step(*args, **options)
 
-    watch = threading.Thread(target=interrupt, daemon=True)
-    watch.start()
-    assert run(*short, "--out", tmp_path / "out", "--workers", 1).code == 130
-    watch.join()
+    with monkeypatch.context() as patch:
+        patch.setattr(Tracker, "step", interrupted)
+        assert run(*short, "--out", tmp_path / "out", "--workers", 1).code == 130
     assert 3 <= len(tracks(tmp_path / "out")) < 7
     with open(lines, "a", encoding="utf-8") as file:
         file.write('{"frame": "00')  # as if the process was killed while writing
