@@ -75,11 +75,11 @@ def note(message: str) -> None:
         return
     from rich.text import Text
 
-    _console().print(Text(text))
+    error_console().print(Text(text))
 
 
 @functools.cache
-def _console() -> Any:
+def error_console() -> Any:
     """Return rich's console of stderr, above whose progress bar lines are printed."""
     from rich.console import Console
 
@@ -124,7 +124,7 @@ def tracked(items: Iterable[T], what: str, total: int | None = None) -> Iterable
     """Iterate over items with a progress bar if stderr is a terminal."""
     from rich.progress import track
 
-    return track(items, what, total, console=_console(), disable=not _console().is_terminal)
+    return track(items, what, total, console=error_console(), disable=not error_console().is_terminal)
 
 
 @contextlib.contextmanager
@@ -138,7 +138,7 @@ def progress(arm: str = "") -> Iterator[Callable[[int, int, str], None]]:
         return
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    console = _console()
+    console = error_console()
     started = last = before = time.monotonic()
     said = TextColumn("{task.fields[said]}")
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), said)

@@ -16,7 +16,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.quantiles import median
 from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.io.arguments import checked_number
+from dvrk_cmaes.io.arguments import check_type, checked_number
 from dvrk_cmaes.joints.interpolation import Sparseness, TimedReadings, Times, known_where, weighted_mean
 from dvrk_cmaes.joints.names import ECM_JOINTS, check_readings
 
@@ -107,6 +107,7 @@ class ReadingBuffer:
         """
         if not math.isfinite(checked_number("readings: time", time, "a finite number of seconds")):
             raise InputError(f"readings: time: expected a finite number of seconds, got {time}")
+        check_type("readings", joints, Mapping, "a mapping of joint names to readings, e.g. {'jaw': 0.5}")
         of_ecm = joints.keys() & set(ECM_JOINTS)
         check_readings("readings", {name: joints[name] for name in of_ecm}, ECM_JOINTS)
         if len(of_ecm) < len(joints) or not joints:

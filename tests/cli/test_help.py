@@ -11,7 +11,7 @@ from rich.console import Console
 
 from dvrk_cmaes.cli.app import COMMANDS, app, main
 from dvrk_cmaes.cli.help import topic_pages
-from dvrk_cmaes.cli.terminal import Line, note, show
+from dvrk_cmaes.cli.terminal import Line, error_console, note, show
 
 TOPICS = sorted(topic_pages())
 STYLES = re.compile(r"\x1b(?:\[[0-9;]*m|\]8;.*?\x1b\\)")
@@ -96,6 +96,7 @@ def test_lines_and_messages_are_wrapped_on_terminals_alone(monkeypatch: pytest.M
         monkeypatch.setattr("sys.stderr", stream)
         monkeypatch.setenv("COLUMNS", "60")
         monkeypatch.setenv("TERM", "xterm-256color")
+        error_console.cache_clear()
         show([Line("word " * 30)])
         note("word " * 30)
         assert stream.getvalue().split().count("word") == 60
