@@ -118,9 +118,8 @@ class Lens(SeenBlock):
 
     def stated(self, values: Float64, std: Float64) -> FoundBlock:
         """State both, and what the frames alone show of them where that contradicts the file."""
-        own = std / self._shared
-        gained = np.maximum(own**-2 - self.std**-2, 1e-12)
-        alone, spread = values / own**2 / gained, self._shared / np.sqrt(gained)
+        gained = np.maximum(std**-2 - self.std**-2, 1e-12)
+        alone, spread = values * (1 + self.std**-2 / (self._shared**2 * gained)), 1 / np.sqrt(gained)
         off = np.abs(alone) / np.hypot(spread, self.std)
         texts = [
             f"fy / fx {100 * alone[0]:+z.1f} % (std {100 * spread[0]:.1f}) off",
@@ -329,15 +328,17 @@ def _stated(
     """State what is found of the blocks that state themselves.
 
     ``known`` are standard deviations of the priors of other blocks, as of the camera, ``shared`` the factor of shared
-    errors. Also returns the mean square (K, K) of the calibration's errors that their errors cause, which are not
-    corrected.
+    errors on what the frames show, not on the blocks' own priors. Also returns the mean square (K, K) of the
+    calibration's errors that their errors cause, which are not corrected.
     """
     calibration, count = there.solution.calibration, there.solution.calibration.own
     values, covariance = there.with_std(known)
     found, of_blocks = dict[str, FoundBlock](), np.zeros((count, count))
     for block in blocks:
         place = calibration.place(block.name)
-        spread = shared**2 * covariance[place, place]
+        prior = np.diag(block.std**-2)
+        shown, axes = np.linalg.eigh(np.linalg.inv(covariance[place, place]) - prior)
+        spread = np.linalg.inv(prior + (axes * np.maximum(shown, 0.0) / shared**2) @ axes.T)
         if (stated := block.stated(values[place], np.sqrt(np.diag(spread)))) is not None:
             found[block.name] = stated
             moves = -inverse_information(there.information[:count, :count]) @ there.information[:count, place]
