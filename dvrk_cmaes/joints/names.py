@@ -26,6 +26,9 @@ ECM_JOINTS = ("ecm_yaw", "ecm_pitch", "ecm_insertion", "ecm_roll")
 ARM_ORDER = (*OUTER_JOINTS, "wrist_pitch", "wrist_yaw")
 """Order of the six values that the dVRK publishes as ``measured_js``; the jaw has a separate topic."""
 
+READINGS = "a mapping of joint names to readings, e.g. {'jaw': 0.5}"
+"""What is expected of the readings of one time."""
+
 _PREFIX = re.compile(r"(?:(PSM\d*|ECM\d*|MTM[LR]?|SUJ)(?:_|/|::?))?(?:outer_)?", re.IGNORECASE)
 
 IN_ORDER = "joints are not named: taken in the dVRK's order, by their number"
@@ -121,7 +124,7 @@ def joints_by_count(where: str, count: int) -> tuple[str, ...]:
 
 def check_readings(where: str, joints: object, known: Sequence[str]) -> None:
     """Raise an InputError for readings that are no mapping of known joints to finite numbers in rad (insertion: m)."""
-    check_type(where, joints, Mapping, "a mapping of joint names to readings, e.g. {'jaw': 0.5}")
+    check_type(where, joints, Mapping, READINGS)
     assert isinstance(joints, Mapping)
     for name, value in joints.items():
         if name not in known and name != "jaw":

@@ -18,7 +18,7 @@ from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.arguments import check_type, checked_number
 from dvrk_cmaes.joints.interpolation import Sparseness, TimedReadings, Times, known_where, weighted_mean
-from dvrk_cmaes.joints.names import ECM_JOINTS, check_readings
+from dvrk_cmaes.joints.names import ECM_JOINTS, READINGS, check_readings
 
 _KEPT = 3.0  # s; older readings are dropped
 _AROUND = 0.6  # s, before and after a keyframe, within which readings are kept
@@ -107,7 +107,7 @@ class ReadingBuffer:
         """
         if not math.isfinite(checked_number("readings: time", time, "a finite number of seconds")):
             raise InputError(f"readings: time: expected a finite number of seconds, got {time}")
-        check_type("readings", joints, Mapping, "a mapping of joint names to readings, e.g. {'jaw': 0.5}")
+        check_type("readings", joints, Mapping, READINGS)
         of_ecm = joints.keys() & set(ECM_JOINTS)
         check_readings("readings", {name: joints[name] for name in of_ecm}, ECM_JOINTS)
         if len(of_ecm) < len(joints) or not joints:
