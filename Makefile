@@ -27,9 +27,9 @@ site: $(VENV)/.package
 	$(BIN)/python scripts/make_site.py
 
 experiments: $(VENV)/.tools
-	$(BIN)/python scripts/experiments/table1.py
-	$(BIN)/python scripts/experiments/figure4.py
-	$(BIN)/python scripts/experiments/table2.py
+	$(BIN)/python scripts/experiment.py table1
+	$(BIN)/python scripts/experiment.py figure4
+	$(BIN)/python scripts/experiment.py table2
 	$(BIN)/python scripts/measure.py write
 
 clean:

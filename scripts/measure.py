@@ -7,6 +7,7 @@
                                                      also draw, score
     python scripts/measure.py tips [SESSION]         tips of closed jaws on a board against the known ones; --images
     python scripts/measure.py pictures FRAMES        masks and poses found in images, of ../shared/frames
+    python scripts/measure.py ablation SESSION...    frames solved by variants of the search
     python scripts/measure.py speed                  whole commands, with --against DIR those of another checkout, too
     python scripts/measure.py live                   poses a second over a websocket, and their age from image to pose
     python scripts/measure.py write                  writes the marked tables of pages; --check only compares them
@@ -28,16 +29,15 @@ from pathlib import Path
 from typing import Final
 
 from measuring import live
-from measuring.accuracy import accuracy_report, write_figures
+from measuring.ablation import ablation_report
+from measuring.accuracy import accuracy_report
 from measuring.benchmark import add_options, benchmark_report
-from measuring.falsified import FALSIFIED, INPUTS
+from measuring.falsified import FALSIFIED
 from measuring.pages import write_pages
 from measuring.pictures import GROUPS, pictures_report
 from measuring.report import SCANNED, SHARED, Report, add_output_options, print_report
 from measuring.speed import speed_report
 from measuring.tips import tips_report
-
-from dvrk_cmaes.errors import InputError
 
 FRAMES: Final = SHARED / "frames"
 
@@ -69,7 +69,7 @@ def _parser() -> argparse.ArgumentParser:
         return one
 
     for name in ("estimate", "calibrate", "track"):
-        one = command(name, _accuracy, f"Solve session folders by {name} and compare with the truth.")
+        one = command(name, accuracy_report, f"Solve session folders by {name} and compare with the truth.")
         one.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="session folders, or folders of some")
         one.add_argument(
             "--instrument", default="lnd", metavar="NAME|URDF", help="in the frames (default: %(default)s)"
@@ -83,17 +83,24 @@ def _parser() -> argparse.ArgumentParser:
     one = command("benchmark", benchmark_report, "Draw, solve and score the tasks of data/reference/benchmark.md.")
     add_options(one)
     one.add_argument("--workers", type=int, default=2, metavar="N", help="worlds at once (default: %(default)s)")
-    one = command("pictures", _pictures, "Find masks, and with --poses poses, in images of several laboratories.")
+    one = command("pictures", pictures_report, "Find masks, and with --poses poses, in images of several laboratories.")
     one.add_argument(
         "frames", type=Path, nargs="?", default=FRAMES, help="folder of frames (default: ../shared/frames)"
     )
-    one.add_argument("--groups", default=",".join(GROUPS), help="groups of pictures (default: %(default)s)")
+    one.add_argument("--groups", nargs="+", default=[*GROUPS], choices=[*GROUPS], help="default: all")
     one.add_argument("--most", type=int, metavar="N", help="number of a group's, at most (default: all)")
     one.add_argument("--poses", action="store_true", help="masks and poses as by estimate")
-    one = command("tips", _tips, "Solve a session with known tips by calibrate, with its masks or by images alone.")
+    one = command("ablation", ablation_report, "Solve frames of sessions with truth by variants of the search.")
+    one.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="session folders with golden.json")
+    one.add_argument("--frames", type=int, default=10, metavar="N", help="of each, the first (default: %(default)s)")
+    one.add_argument("--readings", action="store_true", help="with the readings (default: without any)")
+    one.add_argument("--keep", type=Path, metavar="DIR", help="folder for results, which are reused")
+    one = command(
+        "tips", tips_report, "Solve a session with known tips by calibrate, with its masks or by images alone."
+    )
     one.add_argument("session", type=Path, nargs="?", default=FRAMES / "labs" / "berkeley", help="with truth.csv")
     one.add_argument("--images", action="store_true", help="by images and readings, without the session's masks")
-    one = command("speed", _speed, "Measure whole commands, on a machine without other load.")
+    one = command("speed", speed_report, "Measure whole commands, on a machine without other load.")
     one.add_argument("--session", type=Path, default=FRAMES / "made" / "medium", help="session with masks")
     one.add_argument("--recording", type=Path, default=FRAMES / "video" / "easy", help="recording with masks")
     one.add_argument("--instrument", default=str(SCANNED), metavar="NAME|URDF")
@@ -105,46 +112,6 @@ def _parser() -> argparse.ArgumentParser:
     one = commands.add_parser("write", description="Write the marked tables of README.md and data/reference.")
     one.add_argument("--check", action="store_true", help="only say which are not as their files say; exit code 1")
     return parser
-
-
-def _accuracy(options: argparse.Namespace) -> Report:
-    """Report the accuracy of a command on session folders."""
-    groups = {"all": FALSIFIED, "inputs": INPUTS}
-    kinds = dict.fromkeys(kind for name in options.falsify or [] for kind in groups.get(name, [name]))
-    report = accuracy_report(
-        options.command,
-        options.folders,
-        options=options.further,
-        instrument=options.instrument,
-        kinds=[*kinds],
-        keep=options.keep,
-        workers=options.workers,
-        table=options.table,
-        fit=options.fit,
-    )
-    if options.set is not None:
-        write_figures(options.set, report)
-    return report
-
-
-def _pictures(options: argparse.Namespace) -> Report:
-    """Report masks and poses found in images."""
-    groups = [group for group in options.groups.split(",") if group]
-    for group in groups:
-        if group not in GROUPS:
-            raise InputError(f"--groups: expected some of {', '.join(GROUPS)}, got {group}")
-    return pictures_report(options.frames, groups, most=options.most, poses=options.poses)
-
-
-def _tips(options: argparse.Namespace) -> Report:
-    """Report tips against the known ones."""
-    return tips_report(options.session, images=options.images, options=options.further)
-
-
-def _speed(options: argparse.Namespace) -> Report:
-    """Report the speed of whole commands."""
-    given = options.session, options.recording, options.instrument
-    return speed_report(*given, against=options.against, repeats=options.repeats)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,5 @@
 """The paper's Figure 4: loss of the best of N candidates, by the space from which they are drawn.
 
-    python scripts/experiments/figure4.py [--quick]
-
 In each synthetic frame of the level medium, candidates are drawn in four ways: uniformly in six dimensions; from the
 LookAt space of the paper, with the root on the optical axis; from our LookAt space, which is rotated towards the mask;
 and as in our search, most of them from the axis given by the shaft's edges. The joints are drawn around the readings in
@@ -12,12 +10,11 @@ the best of the first N candidates.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
-from experiment import Claim, Options, progress, read_options, table, write_experiment
-from figure import new_figure
-from made_sessions import Made, make
+from matplotlib.figure import Figure
+from measuring.report import markdown
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
@@ -31,9 +28,8 @@ from dvrk_cmaes.pose.search.starts import draw_starts, sample_joints, sample_loo
 from dvrk_cmaes.silhouette import Renderer
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.session import SyntheticFrame
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from experiments.made_sessions import Made, make
+from experiments.parts import Claim, Options, new_figure, progress, write_experiment
 
 Float64 = NDArray[np.float64]
 
@@ -148,8 +144,9 @@ def draw(curves: dict[str, Float64]) -> Figure:
     return figure
 
 
-def run(options: Options, size: Size) -> None:
+def run(options: Options) -> None:
     """Run the experiment and write its files."""
+    size = QUICK if options.quick else FULL
     config = EstimateConfig()
     made = make(prepare("lnd"), "medium", size.frames, 400 + options.seed, motion="free")
     rng = np.random.default_rng(options.seed)
@@ -158,7 +155,7 @@ def run(options: Options, size: Size) -> None:
         found.append(best_of_first(made, frame, config, rng, size.draws))
         progress("frames", k, size.frames)
     curves = {space: np.array([one[space] for one in found]) for space in SPACES}
-    rows = [(count, *(_quartiles(curves[space][:, k]) for space in SPACES)) for k, count in enumerate(COUNTS)]
+    rows = [(str(count), *(_quartiles(curves[space][:, k]) for space in SPACES)) for k, count in enumerate(COUNTS)]
     write_experiment(
         options,
         "figure4",
@@ -170,14 +167,14 @@ def run(options: Options, size: Size) -> None:
             },
         },
         claims=claims_of(curves),
-        tables=[table(("N", *SPACES), rows)],
+        table=markdown(("N", *SPACES), rows),
         picture=draw(curves),
-        notes=[
+        note=(
             f"Median and quartiles over {size.frames} frames (`dvrk-cmaes synth --level medium --motion free`), each "
             f"the mean of {size.draws} draws. The loss is per pixel of the mask: an empty image scores "
             f"{config.weights.mse + config.weights.scale:g}. A root on the optical axis is not where these frames have "
             "it, and no gradient follows here as in the paper."
-        ],
+        ),
     )
 
 
@@ -185,8 +182,3 @@ def _quartiles(values: Float64) -> str:
     """Format the median and the quartiles of values."""
     low, middle, high = np.percentile(values, [25, 50, 75])
     return f"{middle:.3f} ({low:.3f} to {high:.3f})"
-
-
-if __name__ == "__main__":
-    chosen = read_options(__doc__ or "")
-    run(chosen, QUICK if chosen.quick else FULL)

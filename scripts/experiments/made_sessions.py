@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from experiment import progress
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
@@ -22,6 +21,7 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.levels import LEVELS, LevelName
 from dvrk_cmaes.synth.session import Motion, SessionPlan, SyntheticFrame, default_camera, make_frames, make_truths
+from experiments.parts import progress
 
 OURS: Final = "ours"
 PNP: Final = "PnP, SQPNP"

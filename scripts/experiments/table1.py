@@ -1,7 +1,5 @@
 """The paper's Table I: distances of the shafts' axes from one point while the arm moves about its remote centre.
 
-    python scripts/experiments/table1.py [--quick]
-
 Our method and three variants of PnP are run on synthetic sessions of three levels. If the paper's real frames are
 available, our method is run on them and compared with the authors' published poses. Frames are solved one by one.
 """
@@ -12,12 +10,11 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
-from experiment import Claim, Options, progress, read_options, table, write_experiment
-from figure import new_figure
-from made_sessions import OURS, PNP, PNP_RANSAC, PNP_TIPS, Made, errors_of, make, result_set, results_by
+from matplotlib.figure import Figure
+from measuring.report import markdown
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.estimation import estimate
@@ -28,9 +25,8 @@ from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.levels import LevelName
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from experiments.made_sessions import OURS, PNP, PNP_RANSAC, PNP_TIPS, Made, errors_of, make, result_set, results_by
+from experiments.parts import Claim, Options, new_figure, progress, write_experiment
 
 LEVELS: Final[tuple[LevelName, ...]] = ("easy", "medium", "hard")
 METHODS: Final = (OURS, PNP, PNP_RANSAC, PNP_TIPS)
@@ -211,14 +207,14 @@ def as_table(rows: Sequence[dict[str, Any]]) -> str:
             _shown(row["rcm_spread_mm"], 2),
             _shown(row["base_rotation_deg_median"], 1),
             _shown(row.get("tip_mm_median"), 2),
-            row["without_pose"],
+            str(row["without_pose"]),
         )
         for row in rows
     ]
     for level, paper in TABLE_ONE.items():
         for method, sigma in (("paper, its method", paper.sigma_m), ("paper, PnP", paper.pnp_sigma_m)):
             cells.append((f"paper's, {level}", method, f"{sigma:.5f}", "", "", "", "", ""))
-    return table(columns, cells)
+    return markdown(columns, cells)
 
 
 def _shown(value: float | None, digits: int, factor: float = 1.0) -> str:
@@ -226,8 +222,9 @@ def _shown(value: float | None, digits: int, factor: float = 1.0) -> str:
     return "" if value is None else f"{value * factor:.{digits}f}"
 
 
-def run(options: Options, size: Size) -> None:
+def run(options: Options) -> None:
     """Run the experiment and write its files."""
+    size = QUICK if options.quick else FULL
     body = prepare("lnd")
     rows = []
     for level in LEVELS:
@@ -240,9 +237,9 @@ def run(options: Options, size: Size) -> None:
         title="Table I: how nearly the shafts' axes meet",
         figures={"rows": rows, "paper": {k: vars(v) for k, v in TABLE_ONE.items()}},
         claims=claims_of(rows),
-        tables=[as_table(rows)],
+        table=as_table(rows),
         picture=draw(rows),
-        notes=[
+        note=(
             f"Made frames: medians over {size.sessions} sessions of {size.frames} frames (`dvrk-cmaes synth "
             "--motion rcm`). Sigma is the standard deviation of the axes' distances from x*, the paper's figure; rms "
             "does not forgive a constant distance. PnP sees all painted markers that its detector finds, those on the "
@@ -250,10 +247,5 @@ def run(options: Options, size: Size) -> None:
             "PnP worked on real detections. The images of real, medium are four frames later than the readings beside "
             "them; its last rows have the readings of four frames earlier, which change our poses through the wrist's "
             "readings, and RCM and base through the outer joints'."
-        ],
+        ),
     )
-
-
-if __name__ == "__main__":
-    chosen = read_options(__doc__ or "")
-    run(chosen, QUICK if chosen.quick else FULL)

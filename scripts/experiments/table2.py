@@ -1,7 +1,5 @@
 """The paper's Table II, simulated: open-loop picking of a gauze or a needle after a calibration from one frame.
 
-    python scripts/experiments/table2.py [--quick]
-
 An arm is calibrated from one synthetic frame of the level medium: by our result, by PnP from painted markers, and by
 the true pose and joints. Then it moves by 1, 3.5 and 7 cm to an object at a known position, controlled by its readings
 alone. No robot is used: picking.py states the model of the readings, the cables and the grasp.
@@ -10,14 +8,20 @@ alone. No robot is used: picking.py states the model of the readings, the cables
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
-from experiment import Claim, Options, progress, read_options, table, wilson, write_experiment
-from figure import new_figure
-from made_sessions import OURS, PNP, Made, by_estimate, by_points, make
+from matplotlib.figure import Figure
+from measuring.report import markdown
 from numpy.typing import NDArray
-from picking import (
+from scipy.stats import binomtest
+
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.silhouette.prepare import prepare
+from dvrk_cmaes.synth.session import SyntheticFrame
+from experiments.made_sessions import OURS, PNP, Made, by_estimate, by_points, make
+from experiments.parts import Claim, Options, new_figure, progress, write_experiment
+from experiments.picking import (
     STRETCH,
     Calibration,
     Gripper,
@@ -28,13 +32,6 @@ from picking import (
     picks_gauze,
     picks_needle,
 )
-
-from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.silhouette.prepare import prepare
-from dvrk_cmaes.synth.session import SyntheticFrame
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Float64 = NDArray[np.float64]
 
@@ -131,7 +128,7 @@ def rows_of(outcomes: list[dict[tuple[str, float, str], tuple[bool, float]]]) ->
             for method in METHODS:
                 found = [one[name, distance, method] for one in outcomes]
                 won, off = sum(success for success, _ in found), [error for _, error in found if np.isfinite(error)]
-                low, high = wilson(won, len(found))
+                interval = binomtest(won, len(found)).proportion_ci(method="wilson")
                 rows.append(
                     {
                         "object": name,
@@ -140,7 +137,7 @@ def rows_of(outcomes: list[dict[tuple[str, float, str], tuple[bool, float]]]) ->
                         "successes": won,
                         "trials": len(found),
                         "rate": round(won / len(found), 4),
-                        "interval_95": [round(low, 4), round(high, 4)],
+                        "interval_95": [round(end, 4) for end in interval],
                         "error_mm_median": round(1e3 * float(np.median(off)), 2) if off else None,
                     }
                 )
@@ -188,7 +185,7 @@ def as_table(rows: list[dict[str, Any]]) -> str:
         for distance, (_, won, of) in zip(DISTANCES, TABLE_TWO[name], strict=True):
             cells = {r["method"]: r for r in rows if r["object"] == name and r["distance_m"] == distance}
             lines.append((name, f"{100 * distance:g} cm", *(_cell(cells[m]) for m in METHODS), f"{won}/{of}"))
-    return table(columns, lines)
+    return markdown(columns, lines)
 
 
 def _cell(row: dict[str, Any]) -> str:
@@ -220,8 +217,9 @@ def draw(rows: list[dict[str, Any]]) -> Figure:
     return figure
 
 
-def run(options: Options, size: Size) -> None:
+def run(options: Options) -> None:
     """Run the experiment and write its files."""
+    size = QUICK if options.quick else FULL
     body, config = prepare("lnd"), EstimateConfig()
     gripper = Gripper(body.instrument)
     rng = np.random.default_rng([options.seed, 2])
@@ -241,18 +239,13 @@ def run(options: Options, size: Size) -> None:
         title="Table II, simulated: open-loop picking after one calibration",
         figures={"rows": rows, "stretch": round(STRETCH, 4), "simulated": True},
         claims=claims_of(rows),
-        tables=[as_table(rows)],
+        table=as_table(rows),
         picture=draw(rows),
-        notes=[
+        note=(
             f"**A simulation, not a robot.** {size.trials} trials a cell, each from a frame of its own, {size.frames} "
             "frames a session (`dvrk-cmaes synth --level medium --motion rcm`); 95 % intervals by Wilson. The truth as "
             "the calibration fails, too: the roll's bias goes into the base, and cables stretch. The share of a "
             f"cable-driven joint's motion that is lost is {STRETCH:.2f}, from published errors of wrist pitch and yaw "
-            "(12 and 16 deg rms) alone. The model is stated in `scripts/experiments/picking.py`.",
-        ],
+            "(12 and 16 deg rms) alone. The model is stated in `scripts/experiments/picking.py`."
+        ),
     )
-
-
-if __name__ == "__main__":
-    chosen = read_options(__doc__ or "")
-    run(chosen, QUICK if chosen.quick else FULL)

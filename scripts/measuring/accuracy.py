@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 import tempfile
@@ -14,7 +15,7 @@ from typing import Any, Final
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.instrument import Instrument, load_instrument
 from dvrk_cmaes.io.atomic import write_json
-from measuring.falsified import FALSIFIED, falsified
+from measuring.falsified import FALSIFIED, INPUTS, falsified
 from measuring.report import ROOT, Report, commit, in_processes, machine, today
 from measuring.runner import Command, Failure, goldens, sessions_in, solved
 from measuring.scorer import (
@@ -100,26 +101,13 @@ def _scored(
     return [*scored(instrument, documents, asked, focal)]
 
 
-def accuracy_report(
-    command: Command,
-    folders: Sequence[Path],
-    *,
-    options: Sequence[str] = (),
-    instrument: str = "lnd",
-    kinds: Sequence[str] = (),
-    keep: Path | None = None,
-    workers: int = 2,
-    table: bool = False,
-    fit: bool = False,
-) -> dict[str, list[Mapping[str, Any]]]:
-    """Solve all session folders among or in ``folders``, with ``kinds`` also falsified, and return tables.
-
-    Results are kept in the folder ``keep``, and those in it are reused. With ``table`` there is a row for each frame,
-    with ``fit`` the constants of the stated probability that fit these frames best.
-    """
+def accuracy_report(options: argparse.Namespace) -> Report:
+    """Solve all session folders among or in those given, also falsified if asked for, and return tables."""
+    groups, command = {"all": FALSIFIED, "inputs": INPUTS}, options.command
+    kinds = [*dict.fromkeys(kind for name in options.falsify or [] for kind in groups.get(name, [name]))]
     with tempfile.TemporaryDirectory() as temporary:
-        place = Path(temporary) if keep is None else keep
-        sessions = [*sessions_in(folders)]
+        place = Path(temporary) if options.keep is None else options.keep
+        sessions = [*sessions_in(options.folders)]
         several = Counter(folder.resolve().name for folder in sessions)
         names = {
             one: "/".join(one.resolve().parts[-2 if several[one.resolve().name] > 1 else -1 :]) for one in sessions
@@ -129,8 +117,9 @@ def accuracy_report(
             for kind in ("", *kinds):
                 out = place / command / (kind.replace(" ", "_") or "true") / names[folder]
                 after = sessions[(number + 1) % len(sessions)]
-                tasks.append((folder, names[folder], after, command, out, options, instrument, kind))
-        found = [one for each in in_processes(_one, tasks, workers, "folders") for one in each]
+                given = (options.further, options.instrument, kind)
+                tasks.append((folder, names[folder], after, command, out, *given))
+        found = [one for each in in_processes(_one, tasks, options.workers, "folders") for one in each]
     report: dict[str, list[Mapping[str, Any]]] = {"sessions": [one.row() for one in found]}
     true = [one for one in found if not one.kind]
     frames = [frame for one in true for frame in one.frames]
@@ -148,9 +137,13 @@ def accuracy_report(
     if arms := [{"session": one.name, **row} for one in true for row in one.arms]:
         report["bases of arms in that of their reference"] = [*arms]
     report["reasons"] = [*reason_rows(frames)] if frames else []
-    if table:
+    if options.table:
         report["frames"] = [{"session": one.name, **_frame_row(f)} for one in found for f in one.frames]
-    return report | ({"constants that fit these frames": [*fitted_probability(frames)]} if fit else {})
+    if options.fit:
+        report["constants that fit these frames"] = [*fitted_probability(frames)]
+    if options.set is not None:
+        _write_figures(options.set, report)
+    return report
 
 
 def _one(
@@ -191,7 +184,7 @@ def _frame_row(frame: Scored) -> dict[str, Any]:
     return said | rest | {"reasons": "; ".join(text.split(":")[0] for text in frame.reasons) or "-"}
 
 
-def write_figures(name: str, report: Report) -> None:
+def _write_figures(name: str, report: Report) -> None:
     """Replace a set of data/figures.json, whose tables are in README and the page on accuracy, by the levels."""
     document = json.loads(FIGURES.read_text(encoding="utf-8"))
     rows = {
@@ -209,5 +202,3 @@ def write_figures(name: str, report: Report) -> None:
 
 
 _OF_FIGURES: Final = {"tip_mm": "tips, mm", "axis_deg": "shaft, deg", "joint_deg": "worst joint, deg", "iou": "IoU"}
-KINDS: Final = (*FALSIFIED,)
-"""What can be falsified."""

@@ -8,10 +8,11 @@ masks do, or if its shaft is within 4 deg of the one that both eyes see.
 
 from __future__ import annotations
 
+import argparse
 import csv
 import itertools
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -33,6 +34,7 @@ from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.segment import Segmentation, segment
 from dvrk_cmaes.silhouette import Renderer
 from dvrk_cmaes.silhouette.prepare import prepare
+from measuring.report import Report
 
 Bool = NDArray[np.bool_]
 Image = NDArray[np.uint8]
@@ -178,12 +180,10 @@ def _posed(picture: Picture) -> tuple[Segmentation, bool | None, str]:
     return mask, bool(np.degrees(np.arccos(min(abs(float(cosine)), 1.0))) < RIGHT_DEG), result.status
 
 
-def pictures_report(
-    frames: Path, groups: Sequence[str], *, most: int | None, poses: bool
-) -> dict[str, list[dict[str, Any]]]:
+def pictures_report(options: argparse.Namespace) -> Report:
     """Report how right the masks (and poses) of pictures are, by group and half, and of each picture."""
-    of_groups = (itertools.islice(GROUPS[group](frames), most) for group in groups)
-    each = [_row(picture, poses=poses) for picture in itertools.chain(*of_groups)]
+    of_groups = (itertools.islice(GROUPS[group](options.frames), options.most) for group in options.groups)
+    each = [_row(picture, poses=options.poses) for picture in itertools.chain(*of_groups)]
     rows = []
     for group, half in dict.fromkeys((row["group"], row["half"]) for row in each):
         own = [row for row in each if (row["group"], row["half"]) == (group, half)]
@@ -192,7 +192,7 @@ def pictures_report(
         row["right, mean"] = float(np.mean([one["right"] for one in known])) if known else None
         row["right, least"] = min((one["right"] for one in known), default=None)
         row["wrong above .8"] = sum(one["right"] < RIGHT and one["confidence"] > SURE for one in known)
-        if poses:
+        if options.poses:
             row["poses right"] = sum(bool(one["pose right"]) for one in own)
             row["ok and wrong"] = sum(one["pose right"] is False and one["status"] == "ok" for one in own)
         rows.append(row | {"cpu s, mean": float(np.mean([one["cpu_seconds"] for one in own]))})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import subprocess
 import sys
@@ -14,7 +15,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from dvrk_cmaes.errors import InputError
-from measuring.report import ROOT
+from measuring.report import ROOT, Report
 
 _DONE: Final = (0, 3)  # exit codes
 _EVERY: Final = 5  # frame of the recording
@@ -28,14 +29,13 @@ class Times(NamedTuple):
     megabytes: float
 
 
-def speed_report(
-    session: Path, recording: Path, instrument: str, *, against: Path | None, repeats: int
-) -> dict[str, list[dict[str, Any]]]:
+def speed_report(options: argparse.Namespace) -> Report:
     """Measure commands on a session and a recording with masks; the first run of each checkout is not measured.
 
     Of each command the median of ``repeats`` runs is given, of those that take long that of a quarter of these.
     """
-    checkouts = {"this": ROOT} | ({} if against is None else {"other": against.resolve()})
+    session, repeats = options.session, options.repeats
+    checkouts = {"this": ROOT} | ({} if options.against is None else {"other": options.against.resolve()})
     first = sorted((session / "masks").iterdir())[0]
     given = ["--camera", str(session / "camera.yaml"), "--joints", str(session / "joints.csv")]
     lines: dict[str, tuple[list[str], int]] = {
@@ -45,17 +45,17 @@ def speed_report(
         "batch, two workers": (["batch", str(session), "--workers", "2", "--out"], max(repeats // 4, 1)),
         "calibrate": (["calibrate", str(session), "--workers", "1", "--out"], max(repeats // 4, 1)),
         f"track, every {_EVERY}th frame": (
-            ["track", str(recording), "--every", str(_EVERY), "--no-video", "--no-page", "--out"],
+            ["track", str(options.recording), "--every", str(_EVERY), "--no-video", "--no-page", "--out"],
             max(repeats // 4, 1),
         ),
     }
     rows = []
     for name, (line, count) in lines.items():
-        options = [] if line[0] in ("--help", "inspect") else ["--instrument", instrument]
+        of_tool = [] if line[0] in ("--help", "inspect") else ["--instrument", options.instrument]
         times: dict[str, list[Times]] = {checkout: [] for checkout in checkouts}
         for _ in range(count + 1):
             for checkout, folder in checkouts.items():
-                times[checkout].append(_timed(folder, line, options))
+                times[checkout].append(_timed(folder, line, of_tool))
         medians = {checkout: np.median(own[1:], axis=0).tolist() for checkout, own in times.items()}
         row: dict[str, Any] = {"command": name, "runs": count}
         for checkout, own in medians.items():

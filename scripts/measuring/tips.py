@@ -6,6 +6,7 @@ truth.csv of the session has the visible end of the jaws of each frame in the ca
 
 from __future__ import annotations
 
+import argparse
 import csv
 import shutil
 import tempfile
@@ -25,11 +26,12 @@ from measuring.runner import solved
 TRUTH = "truth.csv"
 
 
-def tips_report(folder: Path, *, images: bool, options: Sequence[str]) -> Report:
+def tips_report(options: argparse.Namespace) -> Report:
     """Report a session's tips against the truth, across and along the line of sight, and the masks that were found.
 
-    ``images`` leaves out the session's masks; ``options`` go to `calibrate`.
+    By ``images``, the session's masks are left out; further options go to `calibrate`.
     """
+    folder, images = options.session, options.images
     if not (folder / TRUTH).is_file():
         raise InputError(f"{folder / TRUTH}: expected the tips of each frame (frame, x, y, z), got no file")
     with (folder / TRUTH).open(encoding="utf-8") as file:
@@ -38,7 +40,7 @@ def tips_report(folder: Path, *, images: bool, options: Sequence[str]) -> Report
     with tempfile.TemporaryDirectory() as place:
         session, out = Path(place, "session"), Path(place, "out")
         shutil.copytree(folder, session, ignore=lambda _, names: hidden.intersection(names))
-        ran = solved(session, "calibrate", out, options)
+        ran = solved(session, "calibrate", out, options.further)
         if ran.failures:
             raise InputError(f"{folder}: {ran.failures[0].error}")
         document, results = ran.document("session.json"), ran.documents()

@@ -1,17 +1,14 @@
 """Ablation: frames of sessions with truth, each solved by variants of the search, with or without readings.
 
-    python scripts/experiments/ablation.py FOLDER... [--frames N] [--readings] [--keep DIR] [--out FILE]
-
 A pose is found if it is within 12 degrees of the truth and 20 degrees in each joint, or of the truth's mirror twin,
-which an outline without readings hardly distinguishes from it. Solved variants are kept in DIR and reused. The table is
-written to data/experiments/ablation.md.
+which an outline without readings hardly distinguishes from it.
 """
 
 from __future__ import annotations
 
 import argparse
-import datetime
 import json
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
@@ -19,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from experiment import OUT, commit, machine_class, progress, table, wilson
+from scipy.stats import binomtest
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.estimation import estimate
@@ -27,9 +24,10 @@ from dvrk_cmaes.evaluate.pose_error import compare_poses
 from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.geometry import rotation_angle
-from dvrk_cmaes.io.atomic import write_json, write_text
+from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.pose.search import METHODS
 from dvrk_cmaes.silhouette.prepare import prepare
+from measuring.report import Report
 
 FOUND_DEG: Final = 12.0, 20.0
 """Largest rotation from the truth or its mirror twin, and largest difference of a joint, of a pose that is found."""
@@ -53,9 +51,7 @@ def variants(config: EstimateConfig) -> Iterator[tuple[str, EstimateConfig]]:
     yield "refinement: differences", replace(config, refine=replace(config.refine, derivatives="differences"))
 
 
-def solved(
-    config: EstimateConfig, folders: Sequence[Path], most: int, label: str, *, readings: bool
-) -> list[dict[str, Any]]:
+def solved(config: EstimateConfig, folders: Sequence[Path], most: int, *, readings: bool) -> list[dict[str, Any]]:
     """Solve the first frames of each folder, and compare them with the truth."""
     body = prepare("lnd")
     names, rows = body.instrument.joint_names, []
@@ -80,54 +76,39 @@ def solved(
                 truly = true[0], dict(zip(names, true[1].tolist(), strict=True))
                 row["tip_mm"] = compare_poses(body.instrument, (result.camera_from_root, result.joints), truly).tip_mm
             rows.append(row)
-            progress(label, len(rows), most * len(folders))
     return rows
 
 
-def figures(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """Return the cells of a variant: found modes with their interval, right ones, twins, tips, seconds."""
-    right, twins = (sum(row.get(name, False) for row in rows) for name in ("right", "twin"))
-    low, high = (round(100 * end) for end in wilson(right + twins, len(rows)))
+def _figures(name: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return the row of a variant: found modes with their interval, right ones, twins, tips, seconds."""
+    right, twins = (sum(row.get(which, False) for row in rows) for which in ("right", "twin"))
+    low, high = binomtest(right + twins, len(rows)).proportion_ci(method="wilson")
     tips = [row["tip_mm"] for row in rows if row.get("right")]
-    of_tips = f"{np.median(tips):.2f} / {np.percentile(tips, 95):.2f}" if tips else ""
-    seconds = np.mean([row["seconds"] for row in rows])
-    return [f"{right + twins} of {len(rows)}, {low} to {high} %", f"{right}", f"{twins}", of_tips, f"{seconds:.2f}"]
+    return {
+        "variant": name,
+        "frames": len(rows),
+        "found": right + twins,
+        "95 % interval": [low, high],
+        "right": right,
+        "mirror twin": twins,
+        "tips of the right, mm, median": float(np.median(tips)) if tips else None,
+        "95 %": float(np.percentile(tips, 95)) if tips else None,
+        "s a frame": float(np.mean([row["seconds"] for row in rows])),
+    }
 
 
-def main() -> None:
-    """Solve all variants and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="session folders with golden.json")
-    parser.add_argument("--frames", type=int, default=10, metavar="N", help="of each, the first (default: %(default)s)")
-    parser.add_argument("--readings", action="store_true", help="with the readings (default: without any)")
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="folder for results, which are reused")
-    parser.add_argument("--out", type=Path, default=OUT / "ablation.md", metavar="FILE", help="default: %(default)s")
-    options = parser.parse_args()
-    shown = []
+def ablation_report(options: argparse.Namespace) -> Report:
+    """Solve the frames by all variants, and return the table."""
+    found = []
     for name, config in variants(EstimateConfig(threads=1)):
         kept = options.keep / f"{name.replace(': ', '_').replace(' ', '_')}.json" if options.keep else None
         if kept is not None and kept.exists():
             rows = json.loads(kept.read_text(encoding="utf-8"))
         else:
-            rows = solved(config, options.folders, options.frames, name, readings=options.readings)
+            rows = solved(config, options.folders, options.frames, readings=options.readings)
             if kept is not None:
                 kept.parent.mkdir(parents=True, exist_ok=True)
                 write_json(kept, rows)
-        shown.append([name, *figures(rows)])
-    head = (
-        "variant",
-        "found, 95 % interval",
-        "right",
-        "mirror twin",
-        "tips of the right, median / 95 %, mm",
-        "s a frame",
-    )
-    ran = f"{datetime.date.today().isoformat()}, commit {commit()}, {machine_class()}, {options.frames} frames each of"
-    folders = ", ".join(folder.name for folder in options.folders) + (", with" if options.readings else ", without")
-    write_text(
-        options.out, f"# Ablation: searches, seeds, losses\n\n{ran} {folders} readings.\n\n{table(head, shown)}\n"
-    )
-
-
-if __name__ == "__main__":
-    main()
+        print(name, file=sys.stderr, flush=True)
+        found.append(_figures(name, rows))
+    return {"ablation": found}
