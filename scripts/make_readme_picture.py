@@ -47,10 +47,9 @@ SHOWN = (0.45, 0.0, 1.0, 1.0)  # left, top, right and bottom of the part that is
 LOOKAT = 8  # candidates that are shown, of those drawn in the LookAt space
 COLOURS = ((38, 38, 44), (214, 214, 214), (230, 120, 60), (70, 140, 230))  # of none, both, mask alone, silhouette alone
 
-FOLLOWED_WIDTH = 640  # px
-FOLLOWED_QUALITY = 14  # of the WebP, 0 to 100
-FOLLOWED_EVERY = 1  # of the frames that were followed
-FOLLOWED_MS = 120  # between two images
+FOLLOWED_WIDTH = 960  # px
+FOLLOWED_QUALITY = 4  # of the WebP, 0 to 100
+FOLLOWED_MS = 80  # between two images
 
 
 def main() -> None:
@@ -125,15 +124,18 @@ def frame_picture() -> bytes:
 
 
 def recording_picture() -> bytes:
-    """Make and follow the recording, and return it as an animated WebP."""
+    """Make the recording, follow all of its frames, and return it as an animated WebP."""
     (hidden,) = (exhibit for exhibit in EXHIBITS if exhibit.title == "A hidden instrument")
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, "camera.yaml").write_text(CAMERA, encoding="utf-8")
         for command in hidden.commands:
-            subprocess.run([sys.executable, "-m", "dvrk_cmaes", *shlex.split(command)], cwd=folder, check=False)
+            subprocess.run(
+                [sys.executable, "-m", "dvrk_cmaes", *shlex.split(command.replace("--every 2 ", ""))],
+                cwd=folder,
+                check=False,
+            )
         tracks = Path(folder) / hidden.shown
-        shown = {"width": FOLLOWED_WIDTH, "milliseconds": FOLLOWED_MS, "every": FOLLOWED_EVERY}
-        return moving_picture(tracks, quality=FOLLOWED_QUALITY, **shown)
+        return moving_picture(tracks, width=FOLLOWED_WIDTH, milliseconds=FOLLOWED_MS, quality=FOLLOWED_QUALITY)
 
 
 PICTURES = {"how.png": how_picture, "overlay.jpg": frame_picture, "followed.webp": recording_picture}

@@ -2,8 +2,9 @@
 
 On the image, or on a dark background, it shows the contours of the mask and of the silhouette, the pixels in only one
 of the two, the stretches of the mask's contour that are off together, the shaft's edges and the jaw tips as found and
-as projected, the skeleton and the root's axes. A strip above gives the expected error, the status and the reasons; a
-strip below gives the legend, and the joints with their readings.
+as projected, the skeleton and the root's axes. In the corner with the least of the mask the tips are enlarged. A strip
+above gives the expected error, the status and the reasons; a strip below gives the legend, and the joints with their
+readings.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ from dvrk_cmaes.silhouette import Body, Renderer
 
 _SMALLEST, _LARGEST = 1000, 2000  # px, width of the drawing
 _FAINT = 0.22  # brightness of the mask where there is no image, 0 to 1
+_INSET = 0.3  # side of the enlarged tips in the drawing's height
+_SHOWN = 0.1  # and of what they show, at least, in that of the frame
 
 
 def draw_overlay(
@@ -80,12 +83,13 @@ def draw_overlay(
         canvas.outline(frame.enlarged(mask), MASK)
     else:
         absent = _draw_pose(frame, result, mask, body, evidence, result.camera_from_root)
+        _draw_tips_enlarged(frame, result, mask, body, image)
     return _between_strips(result, canvas, absent)
 
 
 def draw_failed(result: Result, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Draw a frame without a pose: its image or mask, (H, W, 3) BGR, and the reasons in the strip above it."""
-    return _between_strips(result, _canvas(picture.shape[:2], picture))
+    return _between_strips(result, _canvas(_size(picture.shape[:2]), picture))
 
 
 def _between_strips(result: Result, canvas: Canvas, absent: Container[Colour] = ()) -> NDArray[np.uint8]:
@@ -94,9 +98,8 @@ def _between_strips(result: Result, canvas: Canvas, absent: Container[Colour] = 
     return np.concatenate([header(result, width, canvas.unit), canvas.image, below])
 
 
-def _canvas(shape: tuple[int, ...], image: NDArray[np.uint8]) -> Canvas:
-    """Return a canvas with an image (h, w, 3), enlarged or reduced for a frame of a shape (H, W)."""
-    size = _size(shape)
+def _canvas(size: tuple[int, int], image: NDArray[np.uint8]) -> Canvas:
+    """Return a canvas of a size, (width, height) px, with an image (h, w, 3), enlarged or reduced."""
     way = cv2.INTER_AREA if image.shape[1] > size[0] else cv2.INTER_CUBIC
     return Canvas(np.ascontiguousarray(cv2.resize(image, size, interpolation=way), dtype=np.uint8), size[0] / 1280)
 
@@ -117,16 +120,18 @@ class FrameCanvas:
     scale: float
 
     @staticmethod
-    def of(mask: Bool, camera: Camera, image: NDArray[np.uint8] | None) -> FrameCanvas:
-        """Make the canvas of a frame: its image (H', W', 3) BGR, or its mask (H, W), faintly."""
-        size = _size(mask.shape)
+    def of(
+        mask: Bool, camera: Camera, image: NDArray[np.uint8] | None, size: tuple[int, int] | None = None
+    ) -> FrameCanvas:
+        """Make the canvas of a frame, of a size in px: its image (H', W', 3) BGR, or its mask (H, W), faintly."""
+        size = _size(mask.shape) if size is None else size
         if image is None:
             small = plain(mask.shape[0], mask.shape[1], DARK)
             small.reshape(-1, 3)[np.flatnonzero(mask)] = round(255 * _FAINT)
             drawn = cv2.resize(small, size, interpolation=cv2.INTER_NEAREST)
             canvas = Canvas(np.asarray(drawn, dtype=np.uint8), size[0] / 1280)
         else:
-            canvas = _canvas(mask.shape, image)
+            canvas = _canvas(size, image)
         return FrameCanvas(canvas, camera, size[0] / mask.shape[1])
 
     def at(self, pixels: Float64) -> Float64:
@@ -183,6 +188,40 @@ def _draw_pose(
     _axes(frame, pose)
     found = evidence.shaft_edges or evidence.tips is not None
     return {colour for colour, drawn in ((STEADY, stretches), (FOUND, found)) if not drawn}
+
+
+def _draw_tips_enlarged(
+    frame: FrameCanvas, result: Result, mask: Bool, body: Body, image: NDArray[np.uint8] | None
+) -> None:
+    """Draw the outlines about the tips, enlarged, in the corner with the least of the mask; nothing out of view."""
+    pose, joints = np.array(result.camera_from_root), np.array([*result.joints.values()])
+    line, tips = skeleton_lines(body.instrument, pose, joints, frame.camera)
+    ends = np.concatenate([line[-1:], tips])
+    (height, width), (tall, wide) = mask.shape, frame.canvas.image.shape[:2]
+    if not len(tips) or not ((ends >= 0) & (ends < (width, height))).all():
+        return
+    side = min(round(max(_SHOWN * height, 1.4 * float(np.ptp(ends, axis=0).max()))), height, width)
+    middle = (ends.min(axis=0) + ends.max(axis=0)) / 2
+    left, top = (
+        round(float(np.clip(at - side / 2, 0, most - side))) for at, most in zip(middle, mask.shape[::-1], strict=True)
+    )
+    if image is not None:
+        whole = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+        image = np.asarray(whole[top : top + side, left : left + side], np.uint8)
+    across = round(_INSET * tall)
+    window = frame.camera.cropped(left, top, side, side)
+    shown = mask[top : top + side, left : left + side]
+    near = FrameCanvas.of(shown, window, image, (across, across))
+    near.canvas.unit = frame.canvas.unit
+    near.canvas.outline(near.enlarged(shown), MASK)
+    near.canvas.outline(near.silhouette(body, pose, joints), SILHOUETTE)
+    for tip in tips:
+        near.canvas.ring(near.at(tip - (left, top)), PROJECTED)
+    seen = frame.enlarged(mask)
+    corners = [(y, x) for y in (0, tall - across) for x in (0, wide - across)]
+    y, x = min(corners, key=lambda corner: int(seen[corner[0] :, corner[1] :][:across, :across].sum()))
+    frame.canvas.image[y : y + across, x : x + across] = near.canvas.image
+    cv2.rectangle(frame.canvas.image, (x, y), (x + across - 1, y + across - 1), GREY, 2)
 
 
 def _steady_stretches(evidence: Evidence, silhouette: Bool, frame: FrameCanvas) -> list[Float64]:

@@ -19,7 +19,7 @@ _STRIP: Final = 22  # px, height of the strip with the status above each image
 _COLOURS: Final = {"ok": (130, 210, 110), "doubtful": (70, 210, 240), "lost": (90, 110, 240)}  # BGR
 
 
-def moving_picture(tracks: Path, *, width: int, milliseconds: int, quality: int, every: int = 1) -> bytes:
+def moving_picture(tracks: Path, *, width: int, milliseconds: int, quality: int) -> bytes:
     """Encode the frames of a folder that `track` wrote as an animated WebP that repeats.
 
     Parameters
@@ -32,13 +32,11 @@ def moving_picture(tracks: Path, *, width: int, milliseconds: int, quality: int,
         Time for which each frame is shown.
     quality
         Quality of the WebP, 0 to 100.
-    every
-        Show only every N-th frame.
     """
     said = _statuses(tracks)
     images = [_labelled(image, *of, width) for image, of in zip(_frames(tracks / "tracks.mp4"), said, strict=True)]
     animation = cv2.Animation()
-    animation.frames = images[::every]
+    animation.frames = images
     animation.durations = [milliseconds] * len(animation.frames)
     animation.loop_count = 0
     written, data = cv2.imencodeanimation(".webp", animation, [cv2.IMWRITE_WEBP_QUALITY, quality])

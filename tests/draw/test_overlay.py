@@ -88,6 +88,21 @@ def test_all_parts_are_drawn(bundled_body: Body, camera: Camera, width: int) -> 
         assert count(frame, colour) > 30, colour
 
 
+def test_tips_are_enlarged_in_the_corner_with_the_least_of_the_mask(bundled_body: Body) -> None:
+    mask, absent = true_mask(bundled_body, PINHOLE), np.eye(4)
+    absent[:3] = POSE[:3]
+    absent[0, 3] += 0.2  # beside the image
+    drawn, without = (
+        picture_of(draw_overlay(result(at), mask, PINHOLE, bundled_body), mask.shape) for at in (POSE, absent)
+    )
+    upper_right = np.s_[2 : round(0.3 * len(drawn)) - 2, 1282 - round(0.3 * len(drawn)) : 1278]
+    assert mask[:144, :144].any()
+    assert not mask[:144, -144:].any()
+    assert count(drawn[upper_right], PURPLE) > 30
+    assert count(drawn[upper_right], SKY_BLUE) > 100
+    assert count(without[upper_right], PURPLE) + count(without[upper_right], SKY_BLUE) == 0
+
+
 def test_instrument_through_camera_plane_is_clipped(bundled_body: Body) -> None:
     through = POSE.copy()
     through[:3, 3] = [0.0, 0.0, 0.02]  # most of the shaft lies behind the camera
