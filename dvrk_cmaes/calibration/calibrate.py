@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -76,7 +76,7 @@ def calibrate_session(
     series: ReadingSeries | None = None,
     arm: Arm = "classic",
     refine_camera: bool = False,
-    lag: Lag | Literal["auto"] | None = None,
+    lag: Lag | None = None,
     config: EstimateConfig | None = None,
     run: Run[Any, Any] | None = None,
     progress: Callable[[str, int], None] = lambda stage, count: None,
@@ -100,7 +100,7 @@ def calibrate_session(
         prior is wide, 30 % and 300 px. By default they are only compared with those of the frames' camera.
     lag
         The lag of the images behind the readings that is taken out, zero for none. By default it is looked for in
-        readings that have times or move smoothly from row to row, with ``auto`` in those of postures, too.
+        readings that move smoothly from row to row.
     config
         All settings; those of the calibration are in ``config.session``.
     run

@@ -1,23 +1,28 @@
 """The lag of the images behind the readings, which all frames of a session share.
 
 A wrong lag gives a moving arm readings of another moment, so that the frames' poses no longer agree on one
-camera_from_base. A search by the frames' own modes finds where they agree best. From then on the lag is a block with
-base and offsets: a change of it changes what is predicted of a frame by the velocity of its readings.
+camera_from_base. A search by the frames' own modes finds where they agree best, and near there it is estimated with
+the base and the offsets, as a block: a change of it changes what is predicted of a frame by the velocity of its
+readings.
+
+The lag is no block of the rounds in which frames are fitted again: frames whose prior is the prediction at a lag agree
+with this lag, and estimates by their fits were farther from true ones than those by modes, by up to half a frame. Its
+error counts in all that is stated (`SessionLag.change_of_predictions`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from dvrk_cmaes.calibration.blocks import Calibration, PredictedBlock
-from dvrk_cmaes.calibration.consensus import IMPROVEMENT, Consensus, Mode, choose_modes, find_consensus
+from dvrk_cmaes.calibration.consensus import Consensus, Mode, choose_modes, find_consensus
 from dvrk_cmaes.calibration.endoscope import Steered
-from dvrk_cmaes.calibration.model import Deviations, SessionModel
-from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, solve_arms
+from dvrk_cmaes.calibration.model import SessionModel
+from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, solve
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
@@ -39,9 +44,9 @@ UNLIKELY: Final = 1.5
 MOVE: Final = "a recording in which the arm moves quickly would determine it"
 NO_READINGS_AT_LAG: Final = "no readings once the lag is taken out"
 """Why a frame is left out."""
-POSTURES: Final = (
-    "the rows have no times, and readings jump from row to row, as those of postures: none is looked for unless --lag "
-    "auto asks for it; give times of a recording"
+NOT_INTERPOLABLE: Final = (
+    "the readings jump from row to row, as those of postures or of frames picked from a recording: give all rows of "
+    "the recording, with times"
 )
 """Why no lag is looked for."""
 
@@ -65,8 +70,8 @@ _OF_A_LAG, _OF_NONE = 0.5, 0.7  # of that, least standard deviation of a lag, an
 _UNDETERMINED, _UNKNOWN = 2.0, 3.0  # frames, least and largest standard deviation of a lag that is not determined
 # refinement
 _SHARED_ERRORS = 2.0  # factor on the standard deviation: the frames of a recording share errors of masks and readings
-_LINEARISATIONS, _MOST_LINEARISATIONS = 4, 10  # those that do not move the lag by half a step of the search, and all
-_LEAST_STEP = 0.25  # of the refinement's differences, relative to the search's
+_LINEARISATIONS = 10
+_DIFFERENCE = 0.25  # by which readings are shifted for derivatives, in steps of the search
 _SETTLED, _SETTLING = 0.01, 0.45  # steps of the search, by which a refined value still changes, and by which at most
 # decision
 _SIGNIFICANT = 2.0  # standard deviations
@@ -77,8 +82,6 @@ _AGREE = 3.0  # standard deviations of each lag, within which those of several a
 
 class LagBlock(PredictedBlock):
     """A lag (1,), in the unit of the frames' times, whose ``effect`` (N, 6 + J) is linearised ``at`` a value."""
-
-    shared = True
 
     def __init__(self, std: float, effect: Float64, at: float) -> None:
         super().__init__(LAG, np.array([std]), (LAG,))
@@ -168,29 +171,23 @@ class SessionLag:
     """The readings of an arm's N frames at any lag of the images, and what is known of the lag.
 
     ``series`` are all readings, None where the frames have no order; ``times`` (N,) those of the frames' images on its
-    clock, ``middle`` the middle of the times of all frames. ``interpolable`` says whether the readings may be
-    interpolated, because the rows follow each other closely in time. ``step`` is that of the search, in the unit of the
-    series; for readings that cannot be interpolated it is the time between their rows, None if that is not constant.
+    clock. ``interpolable`` says whether the readings may be interpolated, because the rows follow each other closely in
+    time, as none of postures do; a lag is looked for in such readings only. ``step`` is that of the search, in the unit
+    of the series.
 
     ``lag`` is None where it is not determined, and ``undetermined`` then says why; ``curve`` is the disagreement of the
-    frames as a function of the lag, ``nowhere`` says that they agree at none. ``fixed`` says that the lag was given,
-    or is not looked for: neither is it searched nor refined. ``alone`` says that the other arms of the session have
-    another one.
-
-    Values (2,) of a lag are that in the middle of the frames, in the unit of the series, and its change by time.
+    frames as a function of the lag, ``nowhere`` says that they agree at none. ``fixed`` says that the lag was given.
     """
 
     series: ReadingSeries | None
     times: Float64
-    middle: float = 0.0
     interpolable: bool = False
-    step: float | None = None
+    step: float = 1.0
     lag: Lag | None = None
     undetermined: str = ""
     nowhere: bool = False
     curve: LagCurve | None = None
     fixed: bool = False
-    alone: bool = False
 
     @classmethod
     def of(
@@ -198,7 +195,7 @@ class SessionLag:
         series: ReadingSeries | None,
         names: Sequence[str],
         outer_std: Float64,
-        given: Lag | Literal["auto"] | None = None,
+        given: Lag | None = None,
     ) -> SessionLag:
         """Return what is known before anything is estimated.
 
@@ -211,8 +208,7 @@ class SessionLag:
         outer_std
             (4,), of the readings of the outer joints.
         given
-            The lag that is taken out, and neither searched nor refined; ``auto`` to look for it in readings without
-            times that jump from row to row, too, which are those of postures and no recording.
+            The lag that is taken out, and neither searched nor refined.
 
         Raises
         ------
@@ -224,21 +220,19 @@ class SessionLag:
         low, high = RANGE[series.unit]
         postures = series.unit == "frames" and series.jumps(OUTER_JOINTS, _ROUGH * outer_std)
         interpolable = not postures and series.is_interpolable(OUTER_JOINTS, _ROUGH * outer_std)
-        fine = max(min(_STEP[series.unit], series.interval), (high - low) / (_MOST_STEPS - 1))
-        step = fine if interpolable else series.spacing(OUTER_JOINTS[0])
-        times = np.array([series.frames[name] for name in names])
-        found = cls(series, times, float(times.min() + times.max()) / 2, interpolable, step)
-        if isinstance(given, Lag):
+        step = max(min(_STEP[series.unit], series.interval), (high - low) / (_MOST_STEPS - 1))
+        found = cls(series, np.array([series.frames[name] for name in names]), interpolable, step)
+        if given is not None:
             value = given.in_unit(series.unit)
             lag = Lag.of(value, 0.0, series.unit, series.interval, applied=value != 0)
             return replace(found, lag=lag, fixed=True)
-        return replace(found, undetermined=POSTURES, fixed=True) if postures and given is None else found
+        return found if interpolable else replace(found, undetermined=NOT_INTERPOLABLE)
 
     @classmethod
-    def _without_order(cls, frames: int, given: Lag | Literal["auto"] | None) -> SessionLag:
+    def _without_order(cls, frames: int, given: Lag | None) -> SessionLag:
         """Return that of frames without an order, of which only a lag of zero may be given."""
         times = np.full(frames, np.nan)
-        if isinstance(given, Lag):
+        if given is not None:
             if given.frames or given.seconds:
                 raise InputError(
                     "lag: expected readings of numbered frames, or times of images and readings, got neither"
@@ -280,29 +274,19 @@ class SessionLag:
         """Whether each frame has readings of all outer joints at a lag, (N,)."""
         return np.asarray(~np.isnan(self._known.at(OUTER_JOINTS, self.read_times(value))).any(axis=1))
 
-    @property
-    def all_have_readings(self) -> bool:
-        """Whether each frame has readings of all outer joints at the lag that is taken out."""
-        return self.applied is None or bool(self.has_readings(self.value).all())
-
-    def has_readings_near(self) -> Bool:
-        """Whether each frame has readings at the lag that is taken out, and half a step of the search around it."""
-        reach = (self.step or 0.0) / 2 if self.interpolable else 0.0
-        return np.asarray(self.has_readings(self.value - reach) & self.has_readings(self.value + reach))
-
-    def model_at(self, model: SessionModel, value: float) -> SessionModel:
-        """Return a model with the readings of the times of the images less a lag."""
-        return self._model_at(model, value, model.deviations, smoothed=False)
-
-    def corrected(self, model: SessionModel) -> SessionModel:
-        """Return a model with the readings of the times of the images less the lag that is taken out."""
-        return model if self.applied is None else self.model_at(model, self.value)
+    def model_at(self, model: SessionModel, value: float, *, smoothed: bool = False) -> SessionModel:
+        """Return a model with the readings of the times of the images less a lag, by a spline if ``smoothed``."""
+        read, endoscope = self.read_times(value), model.endoscope
+        outer, joints = (self._known.at(names, read, smoothed=smoothed) for names in (OUTER_JOINTS, model.names))
+        if isinstance(endoscope, Steered):
+            endoscope = endoscope.at(self._known.at(ECM_JOINTS, read))
+        return replace(model, outer=outer, joints=joints, endoscope=endoscope)
 
     def model_to_compare(self, model: SessionModel, value: float) -> SessionModel:
         """Return the model of `model_at` by which lags are compared.
 
-        Its readings are smoothed where they may be interpolated: otherwise a lag between two rows would agree better
-        than one at a row, because it averages the noise of both. The errors of joints that cables move last for
+        Its readings are smoothed: otherwise a lag between two rows would agree better than one at a row, because it
+        averages the noise of both. The errors of joints that cables move last for
         seconds, so that frames close to each other count as one for these joints: play in the cables would
         otherwise be taken for a lag.
         """
@@ -311,16 +295,8 @@ class SessionLag:
         factor = float(np.sqrt(np.clip(_CABLE_SECONDS / max(spacing, 1e-9), 1.0, count)))
         own = model.deviations
         outer = own.outer * np.where(np.array(OUTER_JOINTS) == "roll", factor, 1.0)
-        return self._model_at(model, value, replace(own, outer=outer, joints=factor * own.joints), smoothed=True)
-
-    def _model_at(self, model: SessionModel, value: float, deviations: Deviations, *, smoothed: bool) -> SessionModel:
-        read, spline = self.read_times(value), smoothed and self.interpolable
-        outer = self._known.at(OUTER_JOINTS, read, smoothed=spline)
-        joints = self._known.at(model.names, read, smoothed=spline)
-        endoscope = model.endoscope
-        if isinstance(endoscope, Steered):
-            endoscope = endoscope.at(self._known.at(ECM_JOINTS, read))
-        return replace(model, outer=outer, joints=joints, deviations=deviations, endoscope=endoscope)
+        wide = replace(own, outer=outer, joints=factor * own.joints)
+        return replace(self.model_at(model, value, smoothed=True), deviations=wide)
 
     # times of the frames
 
@@ -360,21 +336,17 @@ class SessionLag:
     # what is known of the lag
 
     def with_estimate(self, found: Refined | None) -> SessionLag:
-        """Return the estimate with a refined lag where that is determined; one that is taken out stays so."""
-        lag: Lag | str = "the frames' disagreement has no minimum there, or too few frames have readings"
-        if found is not None:
-            lag = self.decided(found)
-        if isinstance(lag, Lag):
-            return replace(self, lag=replace(lag, applied=lag.applied or self.applied is not None))
-        return replace(self, undetermined=lag) if self.lag is None else self
-
-    def decided(self, found: Refined) -> Lag | str:
-        """Decide whether a lag is to be taken out; a text that says why where it is not determined."""
+        """Return a lag that was estimated, to be taken out if it is significant, or why it is not determined."""
+        if found is None:
+            text = "the frames' disagreement has no minimum there, or too few frames have readings"
+            return replace(self, lag=None, undetermined=text)
         (value, std), series = found, self._known
         if std > _LARGEST_STD * series.interval:
-            return f"standard deviation {std / series.interval:.1f} frames; {MOVE}"
+            text = f"standard deviation {std / series.interval:.1f} frames; {MOVE}"
+            return replace(self, lag=None, undetermined=text)
         significant = abs(value) > max(_SIGNIFICANT * std, _LEAST_LAG * series.interval)
-        return Lag.of(value, std, series.unit, series.interval, applied=significant)
+        lag = Lag.of(value, std, series.unit, series.interval, applied=significant)
+        return replace(self, lag=lag, undetermined="")
 
     @property
     def known(self) -> tuple[float, float] | None:
@@ -411,61 +383,35 @@ class SessionLag:
 
     def searched(self, model: SessionModel, modes: Sequence[Sequence[Mode]]) -> SessionLag:
         """Find the lag from the frames' own modes; arguments as in `find_consensus`."""
-        if self.series is None or self.fixed:
+        if not self.interpolable or self.fixed:
             return self
         found, best = self._search(model, modes)
-        if best is None:
-            return found
-        return found.with_estimate(found._refined_modes(model, modes, best))
-
-    def _refined_modes(self, model: SessionModel, modes: Sequence[Sequence[Mode]], lag: float) -> Refined | None:
-        """Refine a lag of the search by the modes that agree there."""
-        consensus = self._consensus(model, modes, lag)
-        if consensus is None:
-            return None
-        has = np.flatnonzero(self.has_readings(lag))
-        shifted = self.model_at(model, lag).subset(has)
-        chosen = choose_modes(shifted, [modes[int(i)] for i in has], consensus.calibration)
-        frames = ArmFrames(shifted, FrameFits.of_modes(chosen), consensus.calibration)
-        return refine_lag([(self.subset(has), frames)], lag)
+        return found if best is None else found.with_estimate(found._refined(model, modes, best))
 
     def _search(self, model: SessionModel, modes: Sequence[Sequence[Mode]]) -> tuple[SessionLag, float | None]:
         """Find the lag at which the frames' modes agree best; None with the reason where they do not determine it.
 
         Where they agree at no lag of the usual range, the far range is searched too. The lag is not determined by too
-        few frames, nor if the best lag is at the end of the range, or the frames agree at none. Readings that cannot be
-        interpolated must be at regular times, and the lag must halve the mean misfit.
+        few frames, nor if the best lag is at the end of the range, or the frames agree at none.
         """
         if len(modes) < _LEAST_FRAMES:
             text = f"{len(modes)} frames have a pose and readings, at least {_LEAST_FRAMES} are needed"
             return replace(self, undetermined=text), None
-        if self.step is None:
-            text = (
-                "the readings are too far apart in time to be interpolated, and at uneven times: give all rows of the "
-                "recording, not only those of the frames"
-            )
-            return replace(self, undetermined=text), None
         unit, step, ends = self._known.unit, self.step, tuple[float, ...]()
         low, high = RANGE[unit]
         lags, costs = self._costs(model, modes, low, high, step)
-        if self.interpolable and not costs.min() <= _DISAGREE:
+        if not costs.min() <= _DISAGREE:
             low, high = -FARTHEST[unit], FARTHEST[unit]
             coarse, far = self._costs(model, modes, low, high, _COARSE * step)
             if far.min() < costs.min() / UNLIKELY:
                 about, ends = float(coarse[far.argmin()]), (low, high)
                 near = max(low, about - _COARSE * step), min(high, about + _COARSE * step)
                 lags, costs = self._costs(model, modes, *near, step)
-        best, synchronous = int(np.argmin(costs)), int(np.argmin(np.abs(lags)))
+        best = int(np.argmin(costs))
         pairs = zip(lags.tolist(), costs.tolist(), strict=True)
         found = replace(self, curve=LagCurve(unit, tuple((lag, cost) for lag, cost in pairs if np.isfinite(cost))))
         if not np.isfinite(costs[best]):
             return replace(found, undetermined="too few frames have readings at any lag"), None
-        if not self.interpolable and best != synchronous and costs[best] > IMPROVEMENT * costs[synchronous]:
-            text = (
-                "the readings are too far apart in time to be interpolated, and no lag of whole rows is much better "
-                "than none: give all rows of the recording"
-            )
-            return replace(found, undetermined=text), None
         at_end = min((abs(lags[best] - end) for end in ends), default=np.inf) < _COARSE * step
         nowhere = (at_end or costs[best] > _DISAGREE) if ends else bool(costs[best] > _NOWHERE)
         if nowhere:
@@ -496,69 +442,49 @@ class SessionLag:
         own = [modes[int(i)] for i in has]
         return find_consensus(self.model_to_compare(model, value).subset(has), own, **few)
 
-    # refinement
+    def _refined(self, model: SessionModel, modes: Sequence[Sequence[Mode]], start: float) -> Refined | None:
+        """Estimate the lag near that of the search with the calibration, by the modes that agree there.
 
-    def near(self, frames: ArmFrames, value: float, reach: float) -> ArmFrames | None:
-        """Return frames with what is predicted of them linearised at a lag, which changes by at most ``reach``.
+        None if too few frames have readings around it, or they agree best nowhere near.
+        """
+        consensus, has = self._consensus(model, modes, start), np.flatnonzero(self.has_readings(start))
+        assert consensus is not None
+        has = has[np.argsort(self.times[has], kind="stable")]
+        chosen = choose_modes(
+            self.model_at(model, start).subset(has), [modes[int(i)] for i in has], consensus.calibration
+        )
+        of_these, fits, of_modes = self.subset(has), FrameFits.of_modes(chosen), model.subset(has)
+        calibration, value, solution, moved = consensus.calibration, start, None, 0.0
+        for _ in range(_LINEARISATIONS):
+            frames = of_these._linearised(ArmFrames(of_modes, fits, calibration), value)
+            if frames is None:
+                break
+            solution = solve(*frames)
+            calibration = solution.calibration
+            change = float(np.clip(calibration.values[LAG][0] - value, -self.step / 2, self.step / 2))
+            value, moved = value + change, abs(change) / self.step
+            if moved < _SETTLED:
+                break
+        if solution is None or moved > _SETTLING:
+            return None
+        place = calibration.place(LAG)
+        alone = _SHARED_ERRORS**2 * np.linalg.inv(solution.information)[place, place]
+        return Refined(value, float(np.sqrt(max(alone.item(), solution.covariance[place, place].item()))))
+
+    def _linearised(self, frames: ArmFrames, value: float) -> ArmFrames | None:
+        """Return frames with what is predicted of them linearised at a lag, which changes by at most half a step.
 
         None if too few frames have readings there. Each frame counts as one, and its errors as independent of others.
         """
-        has = self.has_readings(value - reach) & self.has_readings(value + reach)
-        if has.sum() < _LEAST_AT_LAG:
+        has = np.flatnonzero(self.has_readings(value - self.step) & self.has_readings(value + self.step))
+        if len(has) < _LEAST_AT_LAG:
             return None
-        order = np.flatnonzero(has)[np.argsort(self.times[has], kind="stable")]
-        of_these, model, fits = self.subset(order), frames.model.subset(order), frames.fits.subset(order)
-        alone, by = frames.calibration.without(LAG), _LEAST_STEP * reach
+        of_these, model, fits = self.subset(has), frames.model.subset(has), frames.fits.subset(has)
+        alone, by = frames.calibration.without(LAG), _DIFFERENCE * self.step
         later, earlier = (of_these.model_to_compare(model, value + step).predict(alone) for step in (by, -by))
-        std = FARTHEST[self._known.unit] / _SHARED_ERRORS
-        block = LagBlock(std, later.minus(earlier) / (2 * by), value)
+        block = LagBlock(FARTHEST[self._known.unit] / _SHARED_ERRORS, later.minus(earlier) / (2 * by), value)
         known = frames.calibration.with_blocks(block, **{LAG: np.array([value])})
-        return ArmFrames(of_these.model_to_compare(model, value), FrameFits(fits.at, fits.outlines), known)
-
-
-LateFrames = tuple[SessionLag, ArmFrames]
-"""An arm's frames, and their readings at any lag."""
-
-
-def refine_lag(arms: Sequence[LateFrames], start: float) -> Refined | None:
-    """Refine a lag together with the calibrations of arms of one clock.
-
-    A lag of readings that cannot be interpolated is left as it is. None if too few frames have readings around the lag,
-    or the frames agree best nowhere near the start.
-
-    Parameters
-    ----------
-    arms
-        The arms.
-    start
-        The lag to start from.
-    """
-    clock, _ = arms[0]
-    if not clock.step:
-        return None
-    if not clock.interpolable:
-        return Refined(start, clock.step / np.sqrt(12))
-    reach, value, left = clock.step, start, _LINEARISATIONS
-    calibrations = [frames.calibration for _, frames in arms]
-    solutions, moved = None, 0.0
-    for _ in range(_MOST_LINEARISATIONS):
-        pairs = zip(arms, calibrations, strict=True)
-        near = [lag.near(frames._replace(calibration=at), value, reach) for (lag, frames), at in pairs]
-        linearised = [one for one in near if one is not None]
-        if len(linearised) < len(near):
-            break
-        solutions = solve_arms(linearised)
-        change = float(np.clip(solutions[0].calibration.values[LAG][0] - value, -reach / 2, reach / 2))
-        value, moved = value + change, abs(change) / reach
-        calibrations = [own.calibration for own in solutions]
-        left -= int(moved < 0.5)
-        if not left or moved < _SETTLED:
-            break
-    if solutions is None or moved > _SETTLING:
-        return None
-    place = solutions[0].calibration.place(LAG)
-    alone = _SHARED_ERRORS**2 * np.linalg.inv(solutions[0].information)[place, place]
-    return Refined(value, float(np.sqrt(max(alone.item(), solutions[0].covariance[place, place].item()))))
+        return ArmFrames(of_these.model_to_compare(model, value), fits, known)
 
 
 def in_common(lags: Sequence[SessionLag]) -> list[SessionLag]:
@@ -573,14 +499,14 @@ def in_common(lags: Sequence[SessionLag]) -> list[SessionLag]:
     usable = [lag.interpolable and not lag.fixed and (lag.lag is None or lag.known is not None) for lag in lags]
     found = [known for lag, use in zip(lags, usable, strict=True) if use and (known := lag.known) is not None]
     if len(units) != 1 or not all(usable) or not found:
-        return [replace(lag, alone=True) for lag in lags]
+        return list(lags)
     values, stds = np.array(found).T
     weights = stds**-2.0
     mean, std = weights @ values / weights.sum(), weights.sum() ** -0.5
     if (np.abs(values - mean) > _AGREE * stds).any():
-        return [replace(lag, alone=True) for lag in lags]
+        return list(lags)
     common = Refined(float(mean), float(std))
-    shared = [replace(lag, lag=None).with_estimate(common) for lag in lags]
+    shared = [lag.with_estimate(common) for lag in lags]
     if not all(lag.lag is not None and lag.has_readings(lag.value).sum() >= _LEAST_AT_LAG for lag in shared):
-        return [replace(lag, alone=True) for lag in lags]
-    return [replace(lag, undetermined="") for lag in shared]
+        return list(lags)
+    return shared

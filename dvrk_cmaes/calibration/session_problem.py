@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from dvrk_cmaes.calibration.consensus import (
 from dvrk_cmaes.calibration.endoscope_search import describe_pieces, find_pieces
 from dvrk_cmaes.calibration.frame_fit import FrameFit, first_starts, next_starts
 from dvrk_cmaes.calibration.frame_task import Run, SessionFrame, fit_task, gather_task, with_changed_cameras
-from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, SessionLag, in_common, refine_lag
+from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, SessionLag, in_common
 from dvrk_cmaes.calibration.linearise import ArmOutlines, SessionOutlines
 from dvrk_cmaes.calibration.model import Deviations, SessionModel
 from dvrk_cmaes.calibration.session_camera import (
@@ -81,10 +81,7 @@ _ROUNDS = 4  # in which frames and blocks are estimated in turn
 _NEAR = 1.0  # standard deviations per parameter, by which fits move to where the last solution expects them
 _CAMERA_PASSES = 2  # linearisations of the outlines about the camera between two fits of the frames
 _MOST_NAMED = 4
-_TO_TRY = (
-    "try another --instrument, --tool or --arm, other readings, the lag of all rows of the recording, or --lag auto "
-    "for postures whose rows have no times"
-)
+_TO_TRY = "try another --instrument, --tool or --arm, other readings, or the lag of all rows of the recording"
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,8 +93,8 @@ class ArmSetup:
     applies a function to many tasks, ``progress`` is called before each stage with its name and the number of frames.
     ``refine_camera`` is whether the change of the camera that the frames fit is used, ``guessed_camera`` whether the
     frames' camera is a guess, of which there is no file. ``may_cut`` is whether the session may be cut into pieces
-    between which the base moved. ``lag`` is the one that is taken out of the readings, ``auto`` to look for it in those
-    of postures, too, as of `SessionLag.of`. ``gathered`` keeps the frames' evidence by name, for all solutions.
+    between which the base moved. ``lag`` is the one that is taken out of the readings, None to look for it.
+    ``gathered`` keeps the frames' evidence by name, for all solutions.
     """
 
     series: ReadingSeries | None
@@ -109,7 +106,7 @@ class ArmSetup:
     refine_camera: bool = False
     guessed_camera: bool = False
     may_cut: bool = True
-    lag: Lag | Literal["auto"] | None = None
+    lag: Lag | None = None
     gathered: dict[str, StoredFrame] = field(default_factory=dict)
 
 
@@ -314,7 +311,7 @@ def _less_lag(arm: ArmSession) -> ArmSession:
     applied = arm.lag.applied
     if applied is None:
         return arm
-    has = arm.lag.has_readings_near()
+    has = arm.lag.has_readings(arm.lag.value)
     left_out = {frame.name: NO_READINGS_AT_LAG for frame, own in zip(arm.frames, has, strict=True) if not own}
     arm = replace(arm.subset(np.flatnonzero(has).tolist()), left_out={**arm.left_out, **left_out})
     if len(arm.frames) < LEAST_FRAMES:
@@ -322,7 +319,7 @@ def _less_lag(arm: ArmSession) -> ArmSession:
             f"session: {applied.describe()}, which leaves {len(arm.frames)} frames with readings; "
             f"expected at least {LEAST_FRAMES}"
         )
-    return replace(arm, model=arm.lag.corrected(arm.model))
+    return replace(arm, model=arm.lag.model_at(arm.model, arm.lag.value))
 
 
 def _on_one_base(arm: ArmSession) -> tuple[ArmSession, Consensus]:
@@ -425,7 +422,7 @@ def _fitted(
 
 
 def _estimated(arms: Arms, *, keep_all: bool, last: bool) -> Arms:
-    """Estimate base, offsets, variances, cables and lag of all arms from the current fits.
+    """Estimate base, offsets, variances and cables of all arms from the current fits.
 
     ``keep_all`` is whether fits that do not explain the mask count as well. Cables must be more likely by a margin in
     the ``last`` round. `InputError` if too few fits count.
@@ -439,7 +436,7 @@ def _estimated(arms: Arms, *, keep_all: bool, last: bool) -> Arms:
         arms = [_with_cables(arm, own, MARGIN if last else 0.0) for arm, own in zip(arms, fits, strict=True)]
         if any(arm.cables is not None and arm.cables[0].parts for arm in arms):
             arms = _with_variances(arms, fits)
-    return _with_refined_lags(arms, fits)
+    return arms
 
 
 def _with_variances(arms: Arms, fits: Sequence[FrameFits]) -> Arms:
@@ -461,24 +458,6 @@ def _with_cables(arm: ArmSession, fits: FrameFits, margin: float) -> ArmSession:
     own = cables[0].deviations(arm.model.deviations)
     model = replace(arm.model, correction=cables[0].correction, deviations=own)
     return replace(arm, cables=cables, model=model)
-
-
-def _with_refined_lags(arms: Arms, fits: Sequence[FrameFits]) -> Arms:
-    """Refine the lags that are taken out; one at which a frame would have no readings is not taken."""
-    together: list[list[int]] = [[k] for k, arm in enumerate(arms) if arm.lag.alone]
-    together.append([k for k, arm in enumerate(arms) if not arm.lag.alone])
-    lags = [arm.lag for arm in arms]
-    for members in together:
-        refined = [k for k in members if lags[k].applied is not None and not lags[k].fixed]
-        if not refined:
-            continue
-        late = [(lags[k], ArmFrames(arms[k].model, fits[k], arms[k].solution.calibration)) for k in refined]
-        found = refine_lag(late, lags[refined[0]].value)
-        new = [lags[k].with_estimate(found) for k in refined]
-        if all(lag.all_have_readings for lag in new):
-            for k, lag in zip(refined, new, strict=True):
-                lags[k] = lag
-    return [replace(arm, lag=lag, model=lag.corrected(arm.model)) for arm, lag in zip(arms, lags, strict=True)]
 
 
 def _by_camera(arms: Arms) -> list[list[int]]:

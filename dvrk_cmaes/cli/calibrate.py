@@ -13,7 +13,6 @@ from cyclopts import Parameter
 
 from dvrk_cmaes.cli.batch import estimated
 from dvrk_cmaes.cli.options import (
-    AUTO,
     CAMERA,
     FOLDER,
     MOST_SKIPPED,
@@ -67,8 +66,7 @@ class CalibrateOptions:
         Calibrate at most N frames of a recording: those well in view, far from each other in time and pose.
     lag
         Lag of the images behind the readings, in seconds or frames, such as 0.13 or 4frames; 0 for none. By default it
-        is estimated in recordings: readings with times, or that move smoothly from row to row. With auto also in
-        others.
+        is estimated in recordings, whose readings move smoothly from row to row.
     refine_camera
         Estimate the focal length and the principal point together with the base. They are written to OUT/camera.yaml;
         of two eyes, which are changed alike, to OUT/left.yaml and OUT/right.yaml. Needs at least 6 frames and 5 mm of
@@ -116,11 +114,11 @@ class CalibrateOptions:
         keyframes = with_keyframes(chosen, self.keyframes)
         return replace(arm, session=keyframes).with_config(solved_with(arm.method.config))
 
-    def asked_lag(self) -> Lag | Literal["auto"] | None:
-        """Return the lag that is given, or whether it is to be found in sessions that are no recordings, too."""
+    def asked_lag(self) -> Lag | None:
+        """Return the lag that is given."""
         from dvrk_cmaes.joints.lag import Lag
 
-        return "auto" if self.lag == AUTO else None if self.lag is None else Lag.parse("--lag", self.lag)
+        return None if self.lag is None else Lag.parse("--lag", self.lag)
 
 
 def calibrate(
@@ -239,7 +237,7 @@ def _begin_arm(
     target: Path,
     *,
     count: int | None,
-    lag: Lag | Literal["auto"] | None,
+    lag: Lag | None,
     results: Path | None = None,
     refine_camera: bool,
 ) -> Begun[SolvedSession | None]:

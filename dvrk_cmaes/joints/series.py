@@ -118,17 +118,6 @@ class ReadingSeries:
             if len(values) >= 3:
                 yield most, np.abs(values[1:-1] - (values[:-2] + values[2:]) / 2), np.abs(values[2:] - values[:-2])
 
-    def spacing(self, name: str) -> float | None:
-        """Return the time between consecutive readings of a joint; None if it varies by more than a thousandth.
-
-        Parameters
-        ----------
-        name
-            Name of the joint.
-        """
-        gaps = np.diff(self.times.get(name, np.zeros(0)))
-        return None if not len(gaps) or np.ptp(gaps) > 1e-3 * gaps.mean() else float(gaps.mean())
-
     @classmethod
     def of_frames(
         cls, readings: Mapping[str, Mapping[str, float]], times: Mapping[str, float | None]

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from dvrk_cmaes.calibration.calibrate import SolvedSession, begin_arm
 from dvrk_cmaes.calibration.document import SessionCalibration
@@ -79,9 +79,7 @@ class FolderCalibration:
         """Applies a function to many tasks."""
         return functools.partial(run_with_body, self.processes, self.arm.body, self._used)
 
-    def begin(
-        self, results: Mapping[str, Result], *, refine_camera: bool, lag: Lag | Literal["auto"] | None
-    ) -> Begun[SolvedSession]:
+    def begin(self, results: Mapping[str, Result], *, refine_camera: bool, lag: Lag | None) -> Begun[SolvedSession]:
         """Solve the session; finish it by `solved_together` or `solved_alone`, which writes everything.
 
         Raises
