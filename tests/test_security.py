@@ -26,7 +26,6 @@ ALLOWED = {
     "io/output.py": {"ctypes"},  # renameat2(2), which exchanges two folders in one step
     "runs/live_session.py": {"ctypes"},  # mallopt(3), by which the memory of live stays as it is
     "runs/worker.py": {"pickle", "socket"},  # between the program's own processes; the host's name
-    "live/arm_process.py": {"multiprocessing"},  # types of a connection and a process of the program's own
     "runs/pool.py": {"multiprocessing", "pickle"},  # the program's own processes
     "runs/cluster.py": {"socket", "distributed"},  # batch --scheduler
     "live/rosbridge.py": {"roslibpy", "twisted", "autobahn"},  # live

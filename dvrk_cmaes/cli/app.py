@@ -91,6 +91,7 @@ _REMOVED: Final[dict[str, str]] = {
     "import --layout squeezed-side-by-side": "--layout side-by-side after `ffmpeg -i IN -vf scale=2*iw:ih OUT`",
     "import --layout squeezed-top-bottom": "--layout top-bottom after `ffmpeg -i IN -vf scale=iw:2*ih OUT`",
     "import --interlaced": "`ffmpeg -i IN -vf bwdif=send_field OUT`, which makes an image of each field",
+    **_of(("track",), ("--resume", "--overwrite"), "the same command: what track wrote to the folder is replaced"),
     "track --columns": _TOOL,
     "track --fps": f"track.frames_a_second {_IN_FILE}",
     **_of(("track",), ("--layout", "--video-start"), "`dvrk-cmaes import`"),

@@ -282,12 +282,12 @@ def _described(
 ) -> LiveSetup:
     """Say what is followed, and how; folders that are written to stay open with the stack."""
     from dvrk_cmaes.export.frames import FrameNames
+    from dvrk_cmaes.io.atomic import write_json
     from dvrk_cmaes.io.output import output as folder_of_command
     from dvrk_cmaes.live.follow import ArmSetup, LiveSetup
     from dvrk_cmaes.results.folder import SESSION
     from dvrk_cmaes.results.paths import check_writable
-    from dvrk_cmaes.runs.live_session import save_calibration
-    from dvrk_cmaes.runs.pool import serving_process
+    from dvrk_cmaes.runs.pool import Pool
     from dvrk_cmaes.runs.solver_process import SolverProcess
 
     if len(set(topics.psm)) < len(topics.psm):
@@ -310,7 +310,7 @@ def _described(
             stack.enter_context(folder_of_command(folder, "live")).refuse((SESSION,))
             check_writable(folder)
         solver = partial(SolverProcess, body, background=True)
-        save = None if folder is None else partial(save_calibration, folder)
+        save = None if folder is None else partial(write_json, folder / SESSION)
         arms.append(ArmSetup(names[arm], body, instrument.kinematics, known, solver, save, settings, lag))
     return LiveSetup(
         inputs,
@@ -319,7 +319,7 @@ def _described(
         camera.rectified,
         output.overlay,
         origin=time.time_ns(),
-        start_process=serving_process,
+        process=lambda start: Pool(start, 1).begin(),
     )
 
 

@@ -73,9 +73,6 @@ class TrackOptions:
     workers
         Number of processes that fit the frames; by default the number of cores. With --causal, threads that solve
         keyframes.
-    resume
-        --resume does not follow a recording again that was followed to the end, but writes video and page anew.
-        --overwrite replaces all results.
     video
         --no-video leaves out the overlay video.
     page
@@ -95,7 +92,6 @@ class TrackOptions:
     lag: Annotated[str, Parameter(allow_leading_hyphen=True)] = AUTO
     causal: Flag = False
     workers: int | None = None
-    resume: Annotated[bool, Parameter(negative="--overwrite")] = True
     video: bool = True
     page: bool = True
     rerun: Path | None = None
@@ -150,7 +146,7 @@ class TrackOptions:
         method = replace(arm.method, hints=hints or hints_within(place.hints(), used.frames[0].crop))
         used = with_first_mask(used, self.first_mask)
         rate = method.config.track.frames_a_second
-        same = ("every", "causal", "workers", "resume", "video", "page", "rerun")
+        same = ("every", "causal", "workers", "video", "page", "rerun")
         settings = TrackSettings(
             lag=None if self.lag == AUTO else Lag.parse("--lag", self.lag).in_seconds(rate),
             use_joints=self.joints != NO_READINGS,
@@ -181,7 +177,8 @@ def track(
     keyframes tell the arm's base.
 
     Exit codes: 0 all ok, 1 the work could not be done, 2 wrong usage or input, 3 finished, but a frame is doubtful or
-    lost, 130 interrupted; the same command then begins anew.
+    lost, 130 interrupted. What an earlier run wrote to OUT is replaced. An interrupted run with --causal leaves the
+    rows of tracks.jsonl so far, one that was killed all but the last 100 at most; neither is gone on with.
 
     Example:
 

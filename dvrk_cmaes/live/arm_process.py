@@ -1,17 +1,13 @@
-"""An arm that is followed in a process of its own, so that several arms are followed at once.
-
-The process is asked by the rig with which following begins anew, or by the arguments of a step. It answers with the
-result, or what was raised, what is known of the base, and lines for the user.
-"""
+"""An arm that is followed in a process of its own, so that several arms are followed at once."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
+from concurrent.futures import CancelledError, Future
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager, suppress
 from functools import partial
-from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.errors import DvrkCmaesError
@@ -21,29 +17,47 @@ from dvrk_cmaes.results.tracked import TrackResult
 if TYPE_CHECKING:
     from dvrk_cmaes.live.follow import FollowedArm
 
-Start = Callable[[Callable[[Connection], None]], tuple[Connection, BaseProcess]]
-"""Starts a process that calls a picklable function with its end of a connection; returns the other end."""
+Answer = tuple[TrackResult | Exception | None, str, tuple[str, ...]]
+"""The result of a step, or what was raised, how far the base is known, and lines for the user."""
 
 
-def serve(make: Callable[[Report], FollowedArm], connection: Connection) -> None:
-    """Follow, in this process, the arm that ``make`` makes, as a connection asks, until that is closed."""
-    lines: list[str] = []
-    with make(lines.append) as own:
-        while True:
-            try:
-                asked = connection.recv()
-            except (EOFError, OSError):
-                return
-            found: TrackResult | Exception | None = None
-            try:
-                if isinstance(asked, Rig):
-                    own.begin(asked)
-                else:
-                    found = own.step(*asked)
-            except Exception as error:
-                found = error
-            connection.send((found, own.state, tuple(lines)))
-            lines.clear()
+class Process(AbstractContextManager[Any], Protocol):
+    """A process that calls functions one after the other; after it was killed, the next call starts it again."""
+
+    def submit(self, call: Callable[..., Answer], *arguments: Any) -> Future[Answer]:
+        """Call a function, after those before it; BrokenProcessPool if the process has died."""
+
+    def kill(self) -> None:
+        """End the process, whatever it is at."""
+
+
+_here: list[FollowedArm] = []
+_lines: list[str] = []
+
+
+def make_here(make: Callable[[Report], FollowedArm]) -> None:
+    """Make the arm that this process follows."""
+    _here.append(make(_lines.append))
+
+
+def _begin(rig: Rig) -> Answer:
+    return _answered(lambda: _here[0].begin(rig) and None)
+
+
+def _step(arguments: tuple[Any, ...]) -> Answer:
+    return _answered(lambda: _here[0].step(*arguments))
+
+
+def _answered(call: Callable[[], TrackResult | None]) -> Answer:
+    """Return what a call of the arm of this process returns or raises, its state, and the lines since the last call."""
+    found: TrackResult | Exception | None
+    try:
+        found = call()
+    except Exception as error:
+        found = error
+    lines = tuple(_lines)
+    _lines.clear()
+    return found, _here[0].state, lines
 
 
 class ArmProcess:
@@ -51,53 +65,45 @@ class ArmProcess:
 
     Parameters
     ----------
-    start
-        Starts the process, at once and again if it has died.
-    make
-        Makes, in the process, the arm that is followed there; it can be pickled.
+    process
+        The process, in which `make_here` was called. One that has died is started again.
     report
         Takes lines for the user.
     """
 
-    def __init__(self, start: Start, make: Callable[[Report], FollowedArm], report: Report) -> None:
+    def __init__(self, process: Process, report: Report) -> None:
         self.state = ""
-        self._start, self._serve, self._report = start, partial(serve, make), report
-        self._opened: tuple[Connection, BaseProcess] | None = start(self._serve)
+        self._process, self._report = process, report
 
     def begin(self, rig: Rig) -> ArmProcess:
         """Follow anew, by these cameras."""
-        self._opened = self._opened or self._start(self._serve)
-        self._asked(rig)()
+        self._rig = rig
+        self._answer(self._asked(_begin, rig))
         return self
 
     def start_step(self, *arguments: Any) -> Callable[[], Any]:
         """Begin `FollowedArm.step`, with its arguments; returns what waits for the result."""
-        return self._asked(arguments)
+        return partial(self._answer, self._asked(_step, arguments))
 
     def close(self) -> None:
         """End the process, whatever it is at."""
-        if self._opened is not None:
-            (connection, process), self._opened = self._opened, None
-            process.kill()
-            process.join()
-            connection.close()
+        self._process.kill()
 
-    def _asked(self, what: Any) -> Callable[[], TrackResult | None]:
-        """Ask the process, if it is there; returns what takes its answer."""
-        if self._opened is not None:
-            with suppress(OSError):  # of a process that has died, as the end of its answers tells
-                self._opened[0].send(what)
-        return self._answer
+    def _asked(self, call: Callable[[Any], Answer], what: Any) -> Future[Answer]:
+        """Call a function in the process; its answer is an error if that has died."""
+        with suppress(BrokenProcessPool):
+            return self._process.submit(call, what)
+        died = Future[Answer]()
+        died.set_exception(BrokenProcessPool())
+        return died
 
-    def _answer(self) -> TrackResult | None:
-        """Take the answer of the process; one that has died is started again by `begin`."""
-        if self._opened is None:
-            raise DvrkCmaesError("the process of this arm has ended")
-        found: TrackResult | Exception | None
+    def _answer(self, future: Future[Answer]) -> TrackResult | None:
+        """Take an answer of the process; one that has died begins anew."""
         try:
-            found, self.state, lines = self._opened[0].recv()
-        except (EOFError, OSError):
-            self.close()
+            found, self.state, lines = future.result()
+        except (BrokenProcessPool, CancelledError):
+            self._process.kill()
+            self._asked(_begin, self._rig)
             raise DvrkCmaesError("the process of this arm died") from None
         for line in lines:
             self._report(line)

@@ -20,7 +20,7 @@ from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.live.arm import LiveArm, Readings
-from dvrk_cmaes.live.arm_process import ArmProcess, Start
+from dvrk_cmaes.live.arm_process import ArmProcess, Process, make_here
 from dvrk_cmaes.live.connection import Connection, LogThrottle, Report
 from dvrk_cmaes.live.inputs import Inputs, InputTopics
 from dvrk_cmaes.live.loop import LiveCounts, LiveLoop
@@ -42,7 +42,7 @@ class ArmSetup:
     """An arm that is followed: its names and instrument, what is known of its base, and settings.
 
     With a ``solver``, which is made for the time of following, the arm's base is found from keyframes, which are solved
-    meanwhile; ``save`` keeps each calibration that is found.
+    meanwhile; ``save`` keeps the document of each calibration that is found.
     """
 
     names: FrameNames
@@ -50,7 +50,7 @@ class ArmSetup:
     kinematics: Arm = "classic"
     calibration: SessionCalibration | None = None
     solver: Callable[[], AbstractContextManager[Solver]] | None = None
-    save: Callable[[SessionCalibration], None] | None = None
+    save: Callable[[Mapping[str, Any]], None] | None = None
     config: EstimateConfig | None = None
     lag: float | None = None
 
@@ -60,8 +60,8 @@ class LiveSetup:
     """What is followed, and how.
 
     ``rig`` is used instead of the topics' cameras if given; ``rectified`` says which of the topics' matrices is used.
-    ``overlay`` publishes an overlay of each image. Trackers count time from ``origin``, ns. ``start_process`` starts
-    one in which one of several arms is followed; without it all are followed in this one.
+    ``overlay`` publishes an overlay of each image. Trackers count time from ``origin``, ns. ``process`` makes one that
+    begins with a picklable function, in which one of several arms is followed; without it all are followed in this one.
     """
 
     topics: InputTopics
@@ -70,7 +70,7 @@ class LiveSetup:
     rectified: bool = False
     overlay: bool = False
     origin: int = 0
-    start_process: Start | None = None
+    process: Callable[[Callable[[], None]], Process] | None = None
 
     def loop(
         self,
@@ -85,10 +85,14 @@ class LiveSetup:
         A line of one arm does not keep the same line of another from ``report``.
         """
         inputs.subscribe(connection)
-        arms, apart = [], self.start_process if len(self.arms) > 1 else None
+        arms, apart = [], self.process if len(self.arms) > 1 else None
         for own in self.arms:
             here, say = partial(FollowedArm, own), LogThrottle(report)
-            followed = here(say) if apart is None else ArmProcess(apart, here, say)
+            followed: FollowedArm | ArmProcess
+            if apart is None:
+                followed = here(say)
+            else:
+                followed = ArmProcess(stack.enter_context(apart(partial(make_here, here))), say)
             stack.callback(followed.close)
             outputs = Outputs(connection, own.names, own.body.instrument.root_link)
             draw = partial(LiveOverlay, own.body) if self.overlay else None
@@ -111,8 +115,7 @@ class FollowedArm(ExitStack):
         self._tracker = Tracker(
             rig, own.body, own.calibration, own.config, arm=own.kinematics, lag=own.lag, background=True
         )
-        solver = self._solver
-        self._solutions = None if solver is None else SolutionSchedule(self._tracker, solver, at_once=True)
+        self._solutions = SolutionSchedule(self._tracker, self._solver, at_once=True)
         return self
 
     @property
@@ -129,23 +132,21 @@ class FollowedArm(ExitStack):
                 self._tracker.add_readings(when, joints)
             except InputError as error:
                 self._report(str(error))
-        if self._solutions is not None:
-            self._use(self._solutions, time)
+        self._use(time)
         result = self._tracker.step(time, mask, image, ignore)
-        if self._solutions is not None:
-            self._solutions.after_step(time)
+        self._solutions.after_step(time)
         return result
 
     def start_step(self, *arguments: Any) -> Callable[[], TrackResult]:
         """Return what does `step`, with its arguments."""
         return partial(self.step, *arguments)
 
-    def _use(self, solutions: SolutionSchedule, time: float) -> None:
+    def _use(self, time: float) -> None:
         """Use a solution that has come, and save its calibration; an error costs a line."""
         try:
-            found = solutions.before_step(time) and self._tracker.calibration
+            found = self._solutions.before_step(time) and self._tracker.calibration
             if found and self._own.save is not None:
-                self._own.save(found)
+                self._own.save(found.to_dict())
         except Exception as error:
             self._report(f"solution of keyframes: {one_line(error)}")
 

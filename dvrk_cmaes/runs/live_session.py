@@ -1,22 +1,11 @@
-"""Following a running robot for hours: the calibration that it keeps in a folder, no long pauses, steady memory."""
+"""Processes that run for hours: no long pauses, steady memory."""
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
 import gc
-from pathlib import Path
 from typing import Final
-
-from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.io.atomic import write_json
-from dvrk_cmaes.results.folder import SESSION
-
-
-def save_calibration(out: Path, found: SessionCalibration) -> None:
-    """Write a calibration in the place of the earlier one; errors as of `write_json`."""
-    write_json(out / SESSION, found.to_dict())
-
 
 _ARENA_MAX: Final = -8  # M_ARENA_MAX of glibc's mallopt
 

@@ -25,7 +25,6 @@ from concurrent.futures import wait as wait_for
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
-from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from types import FrameType
 from typing import IO, TYPE_CHECKING, Any, Final, TypeVar
@@ -55,6 +54,10 @@ class WorkerDied:
     """Stands for the value of a task that was given up; ``reason`` says why."""
 
     reason: str
+
+
+class StoppedError(Exception):
+    """The run is to end."""
 
 
 class TimeUpError(BaseException):
@@ -121,13 +124,15 @@ class Pool(Workers):
     here
         Whether this process does tasks as well as the others, with one thread in its libraries.
 
-    Its ``report`` is called with the number of tasks of `values` that are done and of all.
+    Its ``report`` is called with the number of tasks of `values` that are done and of all. Once its ``stop`` is set,
+    `values` finishes the running ones and raises `StoppedError`.
     """
 
     def __init__(self, start: Callable[[], object], count: int, *, here: bool = False) -> None:
         self.start, self.count, self.here = start, count, here
         self.at_once = lambda: 2 * count if here else count  # one waits while this process is at a task
         self.report: Callable[..., None] = lambda done, total: None
+        self.stop = threading.Event()
         self._pool: ProcessPoolExecutor | None = None
         self._packed: IO[bytes] | None = None
         self._lock = threading.Lock()
@@ -194,11 +199,13 @@ class Pool(Workers):
         size = max(1, len(tasks) // (_GROUPS * (self.count + self.here)))
         groups = [(first, tasks[first : first + size]) for first in range(0, len(tasks), size)]
         found: dict[int, list[R]] = {}
-        for (first, _), value in run(self, groups, functools.partial(_each, call)):
+        for (first, _), value in run(self, groups, functools.partial(_each, call), stop=self.stop):
             if isinstance(value, WorkerDied):
                 raise DvrkCmaesError(f"frame {first + 1} of {len(tasks)}: {value.reason}: try fewer --workers")
             found[first] = value
             self.report(sum(map(len, found.values())), len(tasks))
+        if len(found) < len(groups):
+            raise StoppedError
         return [value for first, _ in groups for value in found[first]]
 
 
@@ -338,23 +345,6 @@ def _prepared() -> None:
         threading.Thread(target=_exit_after, args=(parent,), daemon=True).start()
 
 
-def serving_process(serve: Callable[[Connection], None]) -> tuple[Connection, BaseProcess]:
-    """Start a process for hours that calls a picklable function with a connection; returns the other end of that."""
-    spawn = multiprocessing.get_context("spawn")
-    here, there = spawn.Pipe()
-    process = spawn.Process(target=_serve, args=(serve, there))
-    with _interrupts_blocked():
-        process.start()
-    there.close()
-    return here, process
-
-
-def _serve(serve: Callable[[Connection], None], connection: Connection) -> None:
-    _prepared()
-    prepare_long_run()
-    serve(connection)
-
-
 def _begin(packed: str) -> None:
     """Prepare a worker process."""
     _prepared()
@@ -364,6 +354,7 @@ def _begin(packed: str) -> None:
     except FileNotFoundError:  # the one that started this one has ended
         os._exit(1)
     start()
+    prepare_long_run()
 
 
 def _exit_after(parent: BaseProcess) -> None:

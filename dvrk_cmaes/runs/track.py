@@ -1,14 +1,14 @@
 """Arms followed through a session folder: tracks.jsonl, tracks.csv, session.json, overlay video and page.
 
 A recording with readings is solved by its keyframes, then all frames are fitted; otherwise each image is followed from
-the one before. An interrupted run is begun anew.
+the one before.
 """
 
 from __future__ import annotations
 
 import threading
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
+from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.session_problem import ArmSetup
 from dvrk_cmaes.calibration.together import Begun, Outcome
 from dvrk_cmaes.errors import InputError
@@ -25,7 +25,7 @@ from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.atomic import write_json, write_text
 from dvrk_cmaes.io.encode import encoded
-from dvrk_cmaes.io.output import output, remove
+from dvrk_cmaes.io.output import output
 from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
@@ -33,34 +33,23 @@ from dvrk_cmaes.pose.doubts import NO_READINGS
 from dvrk_cmaes.report.track_page import PAGE
 from dvrk_cmaes.results.folder import SESSION
 from dvrk_cmaes.results.paths import check_writable
-from dvrk_cmaes.results.track_files import TABLE, TRACKS, VIDEO, line_of, read_tracks, write_table
+from dvrk_cmaes.results.track_files import TABLE, TRACKS, VIDEO, line_of, write_table
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.runs.frame import ArmInSession
 from dvrk_cmaes.runs.keyframes import begin_images, begin_keyframes
-from dvrk_cmaes.runs.manifest import (
-    Manifest,
-    check_same_frames,
-    check_same_settings,
-    frame_stamps,
-    manifest_of,
-    read_manifest,
-)
-from dvrk_cmaes.runs.pool import pool_of, run_with_body, usable_cores
+from dvrk_cmaes.runs.manifest import Manifest, frame_stamps, manifest_of
+from dvrk_cmaes.runs.pool import StoppedError, pool_of, run_with_body, usable_cores
 from dvrk_cmaes.runs.recording import RecordedFrames, RecordedSolution, follow_window
 from dvrk_cmaes.runs.solver_process import SolverProcess
-from dvrk_cmaes.runs.track_inputs import TrackClock, files_of_views, read_arrays, series_of
+from dvrk_cmaes.runs.track_inputs import EvidenceKind, TrackClock, files_of_views, read_arrays, series_of
 from dvrk_cmaes.runs.track_outputs import write_outputs
+from dvrk_cmaes.segment import segment
 from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.track import Tracker
 from dvrk_cmaes.track.keyframe_problem import SolutionSchedule
-from dvrk_cmaes.track.view_segmenter import EvidenceKind
 
-_GROUP: Final = 24  # tasks after which a run looks whether it is to stop
+_WRITTEN_EVERY: Final = 100  # frames that are followed from image to image, after which their rows are written
 _SAME_TIME: Final = 1e-9  # s
-
-
-class _StoppedError(Exception):
-    """The run is to end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +65,6 @@ class TrackSettings:
     causal: bool = False
     evidence: EvidenceKind | None = None
     workers: int | None = None
-    resume: bool = True
     video: bool = True
     page: bool = True
     rerun: Path | None = None
@@ -125,7 +113,7 @@ class TrackedArm:
         self._remarks = (describe_commanded(commanded),) if commanded else ()
         self.arm = arm.with_config(with_commanded(arm.method.config, commanded, joints))
         self.session, self.body, self.out, self.settings = arm.session, arm.body, out, settings
-        self._notice, self._stop, self._report, self._finished = notice, stop, report, False
+        self._notice, self._stop, self._report = notice, stop, report
         given = arm.method.session
         self._given = given if given is None or settings.lag is None else replace(given, lag=None)
         self._work: ArmSetup | None = None
@@ -154,44 +142,23 @@ class TrackedArm:
         Raises
         ------
         InputError
-            A file of a frame is wrong, the folder cannot be written to, or it has results of other settings.
+            A file of a frame is wrong, or the folder cannot be written to.
         DvrkCmaesError
             Another run is writing there, or a process died.
         """
-        settings = self.settings
         for text in self._remarks:
             self._notice(f"warning: {text}")
         check_writable(self.out)
         begun: Begun[RecordedSolution | str | None] = Begun.of(None)
         with ExitStack() as stack:
-            self._open(stack)
-            if settings.use_joints and not (settings.causal or self._finished):
-                with suppress(_StoppedError):
+            own = stack.enter_context(output(self.out, "track"))
+            own.refuse((TRACKS, TABLE, VIDEO, PAGE, SESSION))
+            own.clear()
+            own.describe(self._manifest())
+            if self.settings.use_joints and not self.settings.causal:
+                with suppress(StoppedError):
                     begun = self._begin_keyframes(stack)
             return Begun(partial(self._finish, begun), begun.arm).within(stack.pop_all())
-
-    def _open(self, stack: ExitStack) -> None:
-        """Open the folder; results of a run that was finished are read."""
-        out, resume = self.out, self.settings.resume
-        own = stack.enter_context(output(out, "track"))
-        own.refuse((TRACKS, TABLE, VIDEO, PAGE, SESSION))
-        manifest, old = self._manifest(), read_manifest(out)
-        if old is not None and resume:
-            check_same_settings(out, old, manifest)
-            check_same_frames(out, old, manifest["frames"], done=manifest["frames"])
-            self._read_finished()
-        for name in (SESSION, TABLE, *(() if self._finished else (TRACKS,))):
-            remove(out / name)
-        own.describe(manifest)
-
-    def _read_finished(self) -> None:
-        """Read rows and calibration of a recording that was followed to the end, as its table tells."""
-        tracks, session = self.out / TRACKS, self.out / SESSION
-        if tracks.exists() and (self.out / TABLE).exists():
-            rows = read_tracks(tracks)
-            if [row["frame"] for row in rows] == [files.name for files in self.frames]:
-                self.rows, self._finished = rows, True
-                self.calibration = read_calibration(session) if session.exists() else None
 
     def _begin_keyframes(self, stack: ExitStack) -> Begun[RecordedSolution | str | None]:
         """Use the calibration that was given, or else solve the keyframes."""
@@ -203,10 +170,9 @@ class TrackedArm:
             lag = Lag(0.0, seconds=0.0)  # that is taken out already
         config = replace(method.config, threads=1)
         pool = stack.enter_context(pool_of(self.body, settings.workers or usable_cores(), frames))
-        run = partial(self._in_groups, partial(run_with_body, pool, self.body, config))
+        pool.stop, pool.report = self._stop, self._report
+        run = partial(run_with_body, pool, self.body, config)
         work = ArmSetup(series, self.body.instrument, method.arm, config, run, self._stage, lag=lag)
-        if self._stop.is_set():
-            raise _StoppedError
         by_masks = settings.evidence == "masks"
         times = np.array([self.clock.times[files.name] for files in frames])
         measured = RecordedFrames.of if by_masks else RecordedFrames.of_readings
@@ -224,14 +190,10 @@ class TrackedArm:
 
     def _finish(self, begun: Begun[RecordedSolution | str | None], outcome: Outcome | None) -> TrackedArm:
         """Finish the keyframes of the arm, whose folder and processes are open, follow it, and write everything."""
-        found = None
-        with suppress(_StoppedError):
-            found = begun.finish(outcome)
-        if not self._finished:
-            if not self._by_keyframes(found):
-                self._forwards()
-            if self.rows:
-                write_text(self.out / TRACKS, "".join(line_of(row) for row in self.rows))
+        with suppress(StoppedError):
+            self._follow(begun.finish(outcome))
+        if self.rows:
+            self._write_rows()
         calibration = self.calibration
         lag = None if calibration is None else calibration.applied_lag
         late = (self.settings.lag or 0.0) if lag is None else lag.in_seconds(1 / self.clock.interval)
@@ -248,87 +210,65 @@ class TrackedArm:
                 write_outputs(self)
         return self
 
-    def _by_keyframes(self, found: RecordedSolution | str | None) -> bool:
-        """Follow a recording with the calibration of its keyframes, without rows if it is stopped.
+    def _write_rows(self) -> None:
+        """Write the rows of the frames that were followed so far."""
+        write_text(self.out / TRACKS, "".join(line_of(row) for row in self.rows))
 
-        Returns False, after a line that says why, if every frame is to be followed from those before it only.
-        """
-        if self.settings.causal:
-            return False
-        because = "without readings"
-        if self.settings.use_joints:
-            if self._work is None or found is None or self._stop.is_set():
-                return True
-            if isinstance(found, RecordedSolution):
-                with suppress(_StoppedError):
-                    self._fit_all(found, self._work)
-                return True
-            because = found
-        self._notice(f"followed from image to image, as by --causal: {because}")
-        return False
-
-    def _fit_all(self, solution: RecordedSolution, work: ArmSetup) -> None:
-        """Fit all frames of a recording by the solution of its keyframes."""
-        self._stage("fitting", len(self.frames))
-        results = follow_window(solution, work)
-        self.rows = [self._row(files, result) for files, result in zip(self.frames, results, strict=True)]
-        self.calibration = _with_lag(solution.calibration, self.settings.lag, self.clock)
+    def _follow(self, found: RecordedSolution | str | None) -> None:
+        """Follow by the solution of the keyframes, or from image to image after a line that says why there is none."""
+        if self._stop.is_set():
+            return
+        if isinstance(found, RecordedSolution) and self._work is not None:
+            self._stage("fitting", len(self.frames))
+            results = follow_window(found, self._work)
+            self.rows = [self._row(files, result) for files, result in zip(self.frames, results, strict=True)]
+            self.calibration = _with_lag(found.calibration, self.settings.lag, self.clock)
+            return
+        if not self.settings.causal:
+            self._notice(f"followed from image to image, as by --causal: {found or 'without readings'}")
+        self._forwards()
 
     def _forwards(self) -> None:
-        """Follow the frames from image to image."""
-        settings, method, total = self.settings, self.arm.method, len(self.frames)
-        tracker = Tracker(
-            self.session.rig,
-            self.body,
-            method.session,
-            method.config,
-            arm=method.arm,
-            lag=settings.lag,
-            evidence=settings.evidence,
-            hints=method.hints,
-        )
+        """Follow the frames from image to image; readings are given to the tracker when their time has come."""
+        settings, method, readings = self.settings, self.arm.method, deque(self.clock.readings)
+        tracker = Tracker(self.session.rig, self.body, method.session, method.config, arm=method.arm, lag=settings.lag)
         with ExitStack() as stack:
-            self._report(0, total)
-            schedule = None
+            self._report(0, len(self.frames))
+            solver = None
             if settings.use_joints and self.clock.outer_read:  # which alone tell of a base
-                threads = settings.workers or usable_cores()
-                solver = stack.enter_context(SolverProcess(self.body, threads=threads))
-                schedule = SolutionSchedule(tracker, solver)
-            for files, result in self._steps(tracker, schedule):
-                self.rows.append(self._row(files, result))
-                self._report(len(self.rows), total)
+                solver = stack.enter_context(SolverProcess(self.body, threads=settings.workers or usable_cores()))
+            schedule = SolutionSchedule(tracker, solver)
+            for files in self.frames:
+                time = self.clock.times[files.name]
+                while readings and readings[0][0] <= time + _SAME_TIME:
+                    tracker.add_readings(*readings.popleft())
+                seen = self._seen(files)
+                schedule.before_step(time)
+                self.rows.append(self._row(files, tracker.step(time, *seen)))
+                schedule.after_step(time)
+                self._report(len(self.rows), len(self.frames))
+                if len(self.rows) % _WRITTEN_EVERY == 0:
+                    self._write_rows()
                 if self._stop.is_set():
                     break
             else:
-                if schedule is not None:
-                    schedule.finish()
+                schedule.finish()
         found = tracker.calibration
         self.calibration = None if found is None else _with_lag(found, settings.lag, self.clock)
 
-    def _steps(self, tracker: Tracker, schedule: SolutionSchedule | None) -> Iterator[tuple[FrameFiles, TrackResult]]:
-        """Follow the frames; readings are given to the tracker when their time has come.
-
-        ``schedule`` has the tracker's keyframes solved meanwhile. InputError for a wrong file of a frame.
-        """
-        rig, readings, fed = self.session.rig, self.clock.readings, 0
-        for files in self.frames:
-            time = self.clock.times[files.name]
-            while fed < len(readings) and readings[fed][0] <= time + _SAME_TIME:
-                tracker.add_readings(*readings[fed])
-                fed += 1
-            if files.problem is not None:
-                raise InputError(files.problem)
-            masks, images, ignored = {}, {}, {}
-            for name, of_view in files_of_views(files, rig).items():
-                image, masks[name], ignored[name] = read_arrays(of_view, rig.view(name).camera)
-                used = self.settings.evidence != "masks" or of_view.mask is None
-                images[name] = image if used else None
-            if schedule is not None:
-                schedule.before_step(time)
-            result = tracker.step(time, masks, images, ignored)
-            if schedule is not None:
-                schedule.after_step(time)
-            yield files, result
+    def _seen(self, files: FrameFiles) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+        """Return masks, images and ignored pixels of a frame by view; InputError for a file that is wrong."""
+        if files.problem is not None:
+            raise InputError(files.problem)
+        masks, images, ignored = dict[str, Any](), dict[str, Any](), dict[str, Any]()
+        for name, of_view in files_of_views(files, self.session.rig).items():
+            image, masks[name], ignored[name] = read_arrays(of_view, self.session.rig.view(name).camera)
+            images[name] = None if self.settings.evidence == "masks" else image
+        first, hints = self.session.rig.names[0], self.arm.method.hints
+        if files is self.frames[0] and hints is not None and masks.get(first) is None and images.get(first) is not None:
+            mask = segment(images[first], **vars(hints)).mask
+            masks[first] = mask if mask.any() else None
+        return masks, images, ignored
 
     def _row(self, files: FrameFiles, result: TrackResult) -> dict[str, Any]:
         """Return the row of a frame in tracks.jsonl; without any readings, it says that nothing tells the mode."""
@@ -339,18 +279,6 @@ class TrackedArm:
     def _stage(self, stage: str, frames: int) -> None:
         """Say at which stage the run is."""
         self._notice(f"{stage} {frames} frames" if stage == "fitting" else f"{stage}: {frames} frames")
-
-    def _in_groups(
-        self, run: Callable[..., list[Any]], function: Callable[..., Any], tasks: Sequence[Any]
-    ) -> list[Any]:
-        """Apply a function to all tasks, some at a time; raises `_StoppedError` between them if the run is to stop."""
-        values: list[Any] = []
-        for first in range(0, len(tasks), _GROUP):
-            if self._stop.is_set():
-                raise _StoppedError
-            values += run(function, tasks[first : first + _GROUP])
-            self._report(len(values), len(tasks))
-        return values
 
     def _manifest(self) -> Manifest:
         """Return what the results depend on."""

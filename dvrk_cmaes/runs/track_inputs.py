@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -20,7 +21,8 @@ from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, known_where, straight_line
 from dvrk_cmaes.joints.lag import Unit
 from dvrk_cmaes.joints.series import ReadingSeries
-from dvrk_cmaes.track.view_segmenter import EvidenceKind
+
+EvidenceKind = Literal["masks", "images"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -213,7 +213,7 @@ class Solver(Protocol):
 
 @dataclass
 class SolutionSchedule:
-    """Gives keyframes to a solver when that is due, and each solution to the tracker.
+    """Gives keyframes to a solver, if there is one, when that is due, and each solution to the tracker.
 
     A solution is used a fixed time of images later, so that what a step returns does not depend on how long the solver
     takes: where it is not done in time, the next step waits for it. With ``at_once`` it is used as soon as it is there,
@@ -221,7 +221,7 @@ class SolutionSchedule:
     """
 
     tracker: Tracker
-    solver: Solver
+    solver: Solver | None
     at_once: bool = False
     _asked: deque[tuple[float, Future[Solution]]] = field(default_factory=deque)
 
@@ -240,6 +240,8 @@ class SolutionSchedule:
 
         Until it is, new ones are estimated by themselves.
         """
+        if self.solver is None:
+            return
         if self.tracker.solution_due and not (self.at_once and self._asked):
             problem = self.tracker.problem()
             due = time + (SECONDS_OF_FEW if len(problem.keyframes) <= _FEW else SECONDS_OF_MANY)

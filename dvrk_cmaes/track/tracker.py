@@ -31,7 +31,6 @@ from dvrk_cmaes.pose.doubts import (
 )
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import BaseKnown, TrackResult, doubted
-from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.track.follower import Followed, Follower
@@ -39,7 +38,7 @@ from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Sol
 from dvrk_cmaes.track.keyframes import RELIABLE, SOLVED_AT, Keyframes
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer
 from dvrk_cmaes.track.unknown_base import UnknownBase
-from dvrk_cmaes.track.view_segmenter import EvidenceKind, Images, Masks, Seen, ViewSegmenter
+from dvrk_cmaes.track.view_segmenter import Images, Masks, Seen, ViewSegmenter
 
 _GIVEN_LAG_STD = 1e-6  # s, of a lag that is given
 _BY_THE_BASE = 1.3  # of the error of the tips that is ok: the most that a first solution may leave, before any image
@@ -48,6 +47,9 @@ _LAG_STD = 0.055  # s, largest standard deviation of a lag that keyframes tell
 
 class Tracker:
     """Follows one instrument by masks, images and joint readings.
+
+    The mask of an image that has one is used. In other images masks are found by colours, which are learned wherever a
+    pose explains an image.
 
     It keeps images with masks and readings that differ, at most 60 keyframes. `solve` finds base, lag and offsets from
     them, and after `use` every image is fitted with these, as by `dvrk-cmaes track`; until then no pose is ok. A
@@ -71,11 +73,6 @@ class Tracker:
     lag
         Lag of the images behind the readings, s; if it is not given, it is that of the calibration, or found from the
         keyframes.
-    evidence
-        What of an image is used: ``masks`` or ``images``; if it is not given, the mask of an image that has one. In
-        other images masks are found by colours, which are learned wherever a pose explains an image.
-    hints
-        Where the instrument is in the first image, of the first view, if that has no mask.
     background
         No step waits for the search of an image: it is done in a thread while the next steps go on, and what it finds
         is followed to the image that is present then. Until the first pose, steps say ``searching``. Otherwise the
@@ -96,8 +93,6 @@ class Tracker:
         *,
         arm: Arm = "classic",
         lag: float | None = None,
-        evidence: EvidenceKind | None = None,
-        hints: Hints | None = None,
         background: bool = False,
     ) -> None:
         settings = EstimateConfig() if config is None else config
@@ -117,7 +112,7 @@ class Tracker:
         self._names = self._body.instrument.joint_names
         self._given_lag, self._remarks = lag, rig.remarks
         self._readings = ReadingBuffer(self._names, track.reading_gap, track.still_seconds)
-        self._segmenter = ViewSegmenter(rig, self._body, track, evidence, hints)
+        self._segmenter = ViewSegmenter(rig, self._body, track)
         self._given = Followed(rig, self._body, used_arm, settings, self._segmenter)
         self._keyframes = Keyframes(self._given, self._readings)
         self._unknown = UnknownBase(self._given, background)

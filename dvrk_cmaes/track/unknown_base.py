@@ -224,7 +224,7 @@ def _solved(
 ) -> Result | None:
     """Solve an image by itself; None if nothing is found in it, or its masks are nothing but instrument."""
     readings = replace(image.reading, ecm=None).by_name(given.instrument.joint_names)
-    masks: Mapping[str, Mask] = given.segmenter.first_masks(image.seen, hinted=first)
+    masks: Mapping[str, Mask] = given.segmenter.first_masks(image.seen, guesses=first)
     if not masks:
         return None
     try:

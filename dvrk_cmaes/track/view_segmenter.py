@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, get_args
+from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -20,7 +20,7 @@ from dvrk_cmaes.io.arguments import check_type, checked_mask
 from dvrk_cmaes.pose.doubts import image_black, image_frozen, mask_says_nothing
 from dvrk_cmaes.pose.views import silhouette_of
 from dvrk_cmaes.segment import segment
-from dvrk_cmaes.segment.segmentation import GUESS, Hints
+from dvrk_cmaes.segment.segmentation import GUESS
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.image_masks import ColourModel, learned_colours
 
@@ -31,8 +31,6 @@ Masks = Mask | Mapping[str, Mask | None] | Sequence[Mask | None]
 """The mask (H, W) of a camera, or those of a rig's views: by name, or in the rig's order; None for a missing one."""
 Images = Image | Mapping[str, Image | None] | Sequence[Image | None]
 """The same of images (H, W, 3)."""
-EvidenceKind = Literal["masks", "images"]
-KINDS: Final[tuple[EvidenceKind, ...]] = get_args(EvidenceKind)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +38,7 @@ class SeenImage:
     """The arrays of one view that are used, None where there is none.
 
     ``problem`` is why they say nothing about the pose, None if they may; ``same`` whether they are those of the time
-    before. ``given`` is the mask that was given, even where masks are not evidence: images that are solved by
-    themselves are solved by it.
+    before.
     """
 
     mask: Mask | None
@@ -49,7 +46,6 @@ class SeenImage:
     ignore: Mask | None
     problem: str | None
     same: bool
-    given: Mask | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,27 +94,15 @@ _Look = tuple[ColourModel, Bool]
 class ViewSegmenter:
     """Turns the arrays of the views' images into masks, and keeps how the instrument looks in them.
 
-    ``kind`` is the evidence that is used; None for the mask of an image that has one, and else its colours. ``hints``
-    state where the instrument is in the first image of the first view, if that is segmented.
-
-    Raises
-    ------
-    InputError
-        Another kind of evidence.
+    The mask of an image that has one is used, and else its colours.
     """
 
-    def __init__(
-        self, rig: Rig, body: Body, config: TrackConfig, kind: EvidenceKind | None, hints: Hints | None
-    ) -> None:
-        if kind is not None and kind not in KINDS:
-            raise InputError(f"evidence: expected one of {', '.join(nearest_first(str(kind), KINDS))}, got {kind!r}")
+    def __init__(self, rig: Rig, body: Body, config: TrackConfig) -> None:
         self._rig, self._names, self._body = rig, rig.names, body
         self._last: list[int | None] = [None] * len(rig.views)  # checksums of the latest masks or images, None without
         self._looks: list[_Look | None] = [None] * len(rig.views)
         self._black_level = config.black_level  # value of the brightest pixel, below which an image counts as black
         self._colour_share = config.colour_share
-        self._kind = kind
-        self._hints = hints or Hints()
 
     def look(self, mask: Masks | None, image: Images | None, ignore: Masks | None) -> Seen:
         """Check the arrays of all views, and choose those that are used; InputError for wrong sizes, names, numbers."""
@@ -133,22 +117,21 @@ class ViewSegmenter:
         for name, array in (("mask", mask), ("ignore", ignore), ("image", image)):
             if array is not None:
                 _check_size(name, array, self._rig.views[number].camera)
-        used_mask = None if self._kind == "images" else mask
-        used_image = None if self._kind == "masks" or (image is not None and image.ndim == 2) else image
+        used_image = None if image is not None and image.ndim == 2 else image
         before, now = self._last[number], None
-        if used_mask is not None:
-            now = crc32(np.packbits(used_mask).tobytes())
+        if mask is not None:
+            now = crc32(np.packbits(mask).tobytes())
         elif used_image is not None:
             now = crc32(used_image[::4].tobytes())
         self._last[number] = now
         problem = image_black(self._black_level if image is None else int(image.max()), self._black_level)
-        if problem is None and used_mask is not None:
-            counts = np.ones_like(used_mask) if ignore is None else ~ignore
-            shown, surrounded = bool((used_mask & counts).any()), bool((~used_mask & counts).any())
+        if problem is None and mask is not None:
+            counts = np.ones_like(mask) if ignore is None else ~ignore
+            shown, surrounded = bool((mask & counts).any()), bool((~mask & counts).any())
             problem = mask_says_nothing(given=True, shown=shown, surrounded=surrounded)
         elif problem is None and used_image is None:
             problem = mask_says_nothing(given=False, shown=False, surrounded=False)
-        return SeenImage(used_mask, used_image, ignore, problem, now is not None and now == before, mask)
+        return SeenImage(mask, used_image, ignore, problem, now is not None and now == before)
 
     def _by_view(self, name: str, value: Masks | Images | None) -> list[Any]:
         """Return an argument's arrays in the order of the views."""
@@ -192,20 +175,19 @@ class ViewSegmenter:
             views.append(shown if look is None or shown.image is None else shown.without(look[1]))
         return tuple(views)
 
-    def first_masks(self, seen: Seen, *, hinted: bool) -> dict[str, Mask]:
+    def first_masks(self, seen: Seen, *, guesses: bool) -> dict[str, Mask]:
         """Return the masks by name of the view: those given, or that of the first image in which one is found.
 
-        If the images are ``hinted``, the hints hold for that of the first view.
+        One that is only guessed counts if ``guesses`` do.
         """
-        given = {name: of.given for name, of in zip(self._names, seen.views, strict=True) if of.given is not None}
+        given = {name: of.mask for name, of in zip(self._names, seen.views, strict=True) if of.mask is not None}
         if given:
             return given
         for number, view in seen.clear:
-            hints = self._hints if hinted and number == 0 else Hints()
             if view.image is None:
                 continue
-            found = segment(view.image, **vars(hints))
-            if found.mask.any() and (hinted or found.confidence >= GUESS):  # with its own hints it is no guess
+            found = segment(view.image)
+            if found.mask.any() and (guesses or found.confidence >= GUESS):
                 return {self._names[number]: found.mask}
         return {}
 
