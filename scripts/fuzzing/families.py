@@ -147,7 +147,9 @@ FAMILIES: tuple[Family, ...] = (
         _read("session.json", [*_ESTIMATE, "--session", "session.json"], ["export", "session.json", "--to", "tf"]),
     ),
     Family("golden.json", "document", "session/golden.json", (["golden", "check", "session"],), False),
-    Family("tracks", "text", "tracks/tracks.jsonl", (_TRACK,), refuses=False),
+    Family(
+        "tracks", "text", "tracks/tracks.jsonl", (["export", "tracks", "--to", "csv", "--out", "made"],), refuses=False
+    ),
     Family("track's run.json", "document", "tracks/run.json", (_TRACK,), refuses=False),
     Family(
         "video",

@@ -24,7 +24,6 @@ COMMANDS: Final[dict[str, tuple[str, ...]]] = {
     "batch --overwrite": ("batch", "session", *_QUICK, "--workers", "1", "--overwrite", "--out"),
     "calibrate": ("calibrate", "session", *_QUICK, "--workers", "1", "--results", "results", "--out"),
     "track": ("track", "session", *_QUICK, "--out"),
-    "track --overwrite": ("track", "session", *_QUICK, "--overwrite", "--out"),
     "segment": ("segment", "session", "--out"),
     "synth": ("synth", "--frames", "1", "--no-images"),
     "synth --overwrite": ("synth", "--frames", "1", "--no-images", "--overwrite"),

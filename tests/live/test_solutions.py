@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ from typing import Any, cast
 import pytest
 from helpers.moving_worlds import MovingWorld, moving_world
 
-from dvrk_cmaes import DvrkCmaesError, EstimateConfig, KeyframeProblem, Rig, SessionCalibration, Solution
+from dvrk_cmaes import DvrkCmaesError, EstimateConfig, KeyframeProblem, Rig, Solution
 from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.live.follow import ArmSetup, FollowedArm
@@ -45,7 +45,7 @@ class Live:
     world: MovingWorld
     solver: FakeSolver = field(default_factory=FakeSolver)
     lines: list[str] = field(default_factory=list)
-    saved: list[SessionCalibration] = field(default_factory=list)
+    saved: list[Mapping[str, Any]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         @contextmanager
@@ -85,7 +85,8 @@ def test_solution_is_used_and_saved_when_it_is_there_and_no_step_waits_for_it(li
     better = Solution(solution.calibration, "", 40, solution.alone, solution.base, 0.5)
     solver.futures[0].set_result(better)
     live.step(last + 1)
-    assert live.saved == [solution.calibration]
+    assert solution.calibration is not None
+    assert live.saved == [solution.calibration.to_dict()]
 
 
 def test_solution_for_a_tracker_that_began_anew_since_is_dropped(live: Live) -> None:

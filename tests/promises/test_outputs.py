@@ -230,7 +230,7 @@ def test_folder_that_no_command_wrote_is_refused(session: Path, tmp_path: Path, 
         name = "0001.png" if kind == "pictures" else "run.json"
         (out / name).write_text("mine")
     before = content(out)
-    for more in ((), ("--overwrite",)) if command in ("batch", "track") else ((),):
+    for more in ((), ("--overwrite",)) if command == "batch" else ((),):
         refusal = run(command, session, "--out", out, *more).refusal
         assert refusal.startswith(f"{out}")
     assert content(out) == before

@@ -7,7 +7,6 @@ import pytest
 from helpers.moving_worlds import MovingWorld, drawn, moving_world
 
 from dvrk_cmaes import Result, Rig, Tracker, TrackResult, estimate
-from dvrk_cmaes.segment.segmentation import Hints
 
 FRAMES = 20
 
@@ -71,10 +70,7 @@ def test_tips_are_followed_by_images_alone(world: MovingWorld, results: list[Tra
 
 
 def test_first_mask_is_found_in_the_image(world: MovingWorld, images: list[np.ndarray]) -> None:
-    box = np.argwhere(world.masks[0])
-    (top, left), (bottom, right) = box.min(axis=0).tolist(), box.max(axis=0).tolist()
-    tracker = Tracker(world.camera, world.body, lag=0.0, hints=Hints(box=(left, top, right, bottom)))
-    followed = follow(world, tracker, range(6), images)
+    followed = follow(world, Tracker(world.camera, world.body, lag=0.0), range(6), images)
     assert followed[0].searched
     assert world.error_mm(5, followed[-1]) < 2.5
 
