@@ -40,19 +40,14 @@ def make_here(make: Callable[[Report], FollowedArm]) -> None:
     _here.append(make(_lines.append))
 
 
-def _begin(rig: Rig) -> Answer:
-    return _answered(lambda: _here[0].begin(rig) and None)
-
-
-def _step(arguments: tuple[Any, ...]) -> Answer:
-    return _answered(lambda: _here[0].step(*arguments))
-
-
-def _answered(call: Callable[[], TrackResult | None]) -> Answer:
-    """Return what a call of the arm of this process returns or raises, its state, and the lines since the last call."""
-    found: TrackResult | Exception | None
+def _done(asked: Rig | tuple[Any, ...]) -> Answer:
+    """Begin anew by other cameras, or do a step with some arguments, in this process."""
+    found: TrackResult | Exception | None = None
     try:
-        found = call()
+        if isinstance(asked, Rig):
+            _here[0].begin(asked)
+        else:
+            found = _here[0].step(*asked)
     except Exception as error:
         found = error
     lines = tuple(_lines)
@@ -78,21 +73,21 @@ class ArmProcess:
     def begin(self, rig: Rig) -> ArmProcess:
         """Follow anew, by these cameras."""
         self._rig = rig
-        self._answer(self._asked(_begin, rig))
+        self._answer(self._asked(rig))
         return self
 
     def start_step(self, *arguments: Any) -> Callable[[], Any]:
         """Begin `FollowedArm.step`, with its arguments; returns what waits for the result."""
-        return partial(self._answer, self._asked(_step, arguments))
+        return partial(self._answer, self._asked(arguments))
 
     def close(self) -> None:
         """End the process, whatever it is at."""
         self._process.kill()
 
-    def _asked(self, call: Callable[[Any], Answer], what: Any) -> Future[Answer]:
-        """Call a function in the process; its answer is an error if that has died."""
+    def _asked(self, what: Rig | tuple[Any, ...]) -> Future[Answer]:
+        """Ask the process; its answer is an error if that has died."""
         with suppress(BrokenProcessPool):
-            return self._process.submit(call, what)
+            return self._process.submit(_done, what)
         died = Future[Answer]()
         died.set_exception(BrokenProcessPool())
         return died
@@ -103,7 +98,7 @@ class ArmProcess:
             found, self.state, lines = future.result()
         except (BrokenProcessPool, CancelledError):
             self._process.kill()
-            self._asked(_begin, self._rig)
+            self._asked(self._rig)
             raise DvrkCmaesError("the process of this arm died") from None
         for line in lines:
             self._report(line)
