@@ -16,7 +16,7 @@ import numpy as np
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.geometry import Bool, Float32, Image
-from dvrk_cmaes.segment.colours import Colours, ColourTable, local_colour_log_odds, measure_colours
+from dvrk_cmaes.segment.colours import Colours, ColourTable, brightest, local_colour_log_odds, measure_colours
 from dvrk_cmaes.segment.confidence import assess_mask
 from dvrk_cmaes.segment.edge_colours import edge_log_odds
 from dvrk_cmaes.segment.graph_cut import cut
@@ -125,18 +125,18 @@ def mask_around(
     table = None if measured is None else ColourTable(measured)
     known = np.zeros(prior.shape, np.float32) if colours is None else colours[window]
     features, mask, by_colour = guide(part) if measured is None else measured.guide, expected, known
-    for _ in range(passes):
+    for number in range(passes):
         if table is not None:
             by_colour = known + _COLOURS_WEIGHT * local_colour_log_odds(table, mask)
         odds = by_colour + prior
         if edges:
-            odds += edge_log_odds(part, mask)
+            odds += edge_log_odds(part, signed_distance(mask) if number else distance)
         if straight and (sides := _sides(mask, silhouette.shape, window)) is not None:
             odds += sides
         before, mask = mask, cut(np.asarray(odds, np.float32), features, background=never, tool=tool)
         if not mask.any() or mask.all():
             return None
-        if (before ^ mask).sum() < _SETTLED * mask.sum():
+        if np.count_nonzero(before ^ mask) < _SETTLED * np.count_nonzero(mask):
             break
     whole = np.zeros_like(silhouette)
     whole[window] = _within(mask, distance < np.minimum(band, ROUGH) + _BLURRED)
@@ -200,7 +200,7 @@ def guide(image: Image) -> Float32:
     """Return the features of an image (H, W, 2) whose edges an outline follows: brightness and colourfulness."""
     smooth = cv2.GaussianBlur(image, (0, 0), _NOISE).astype(np.float32) + 8.0
     colourful = np.log(smooth[..., 2] / smooth[..., 1])
-    return np.stack([np.log(smooth.max(axis=2)), colourful], axis=-1)
+    return np.stack([np.log(brightest(smooth)), colourful], axis=-1)
 
 
 def _sides(mask: Bool, shape: tuple[int, ...], window: tuple[slice, slice]) -> Float32 | None:

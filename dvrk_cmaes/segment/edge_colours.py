@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.geometry import Bool, Float32
 
 _BAND = (2.5, 14.0)  # px, distances from the outline between which the means are taken
@@ -24,33 +23,37 @@ _TEXTURE = 6.0  # grey levels, difference of the two means at which the log-odds
 _STEEPNESS = 8.0  # difference of the log-odds between the background's and the instrument's mean colour
 
 
-def edge_log_odds(image: NDArray[np.uint8], mask: Bool) -> Float32:
+def edge_log_odds(image: NDArray[np.uint8], away: Float32) -> Float32:
     """Return log-odds of instrument (H, W) by the local mean colours on both sides of a mask's outline.
 
     Parameters
     ----------
     image
         (H, W, 3) uint8, BGR.
-    mask
-        (H, W).
+    away
+        (H, W), the signed distance from the outline, px, negative inside.
 
     Returns
     -------
     (H, W) float32
         Positive where a pixel's colour is nearer to the mean inside than to the mean outside; 0 far from the outline.
     """
-    away = signed_distance(mask)
     colours = cv2.GaussianBlur(image.astype(np.float32), (0, 0), _SMOOTH)
     blue, green, red = (colours[..., k] for k in range(3))
     # differences of channels, and brightness: linear, so that a mixture of two colours lies on the line between them
     parts = np.stack([blue - red, green - red, green - blue, _BRIGHTNESS * (blue + green + red)], axis=-1) / np.sqrt(3)
     inside, outside = (_local_mean(parts, (side > _BAND[0]) & (side < _BAND[1])) for side in (-away, away))
     between = inside - outside
-    square = (between**2).sum(axis=-1)
-    share = ((parts - outside) * between).sum(axis=-1) / np.maximum(square, 1e-3)
+    square = _sum(between**2)
+    share = _sum((parts - outside) * between) / np.maximum(square, 1e-3)
     weight = square / (square + _TEXTURE**2)
     odds = _STEEPNESS * weight * np.clip(share - 0.5, -0.5, 0.5)
     return np.asarray(np.where(np.abs(away) < _BAND[1], odds, 0), np.float32)
+
+
+def _sum(parts: Float32) -> Float32:
+    """Return the sum (H, W) over the last axis of four (H, W, 4), which NumPy computes ten times more slowly."""
+    return np.asarray(parts[..., 0] + parts[..., 1] + parts[..., 2] + parts[..., 3])
 
 
 def _local_mean(parts: Float32, where: Bool) -> Float32:

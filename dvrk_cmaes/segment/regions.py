@@ -74,14 +74,14 @@ def instrument_region(mask: Bool, gap: float, prompts: Prompts) -> Bool:
 
 def fill_holes(mask: Bool) -> Bool:
     """Fill the small holes of a mask (H, W): regions of background that do not meet the image's border."""
-    count, labels, measures = _regions(~mask, connectivity=4)
+    _, labels, measures = _regions(~mask, connectivity=4)
     height, width = mask.shape
     left, top = measures[:, cv2.CC_STAT_LEFT], measures[:, cv2.CC_STAT_TOP]
     right, bottom = left + measures[:, cv2.CC_STAT_WIDTH], top + measures[:, cv2.CC_STAT_HEIGHT]
     inside = (left > 0) & (top > 0) & (right < width) & (bottom < height)
     hole = inside & (measures[:, cv2.CC_STAT_AREA] <= _LARGEST_HOLE * mask.size)
     hole[0] = False  # the mask itself
-    return np.asarray(mask | (hole[labels] if count > 1 else False))
+    return np.asarray(mask | hole[labels]) if hole.any() else mask
 
 
 def distance_to(mask: Bool) -> Float32:
