@@ -30,7 +30,7 @@ from dvrk_cmaes.track.frame_fits import FittedFrame, PredictedFrame, fit_block
 from dvrk_cmaes.track.image_masks import ColourModel
 from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES, MaskShape, choose_keyframes, has_outer_joints, well_in_view
 from dvrk_cmaes.track.reading_buffer import frozen_frames, frozen_since
-from dvrk_cmaes.track.window import FitEvidence, Judged, Window, WindowImage, judge_frame
+from dvrk_cmaes.track.window import Judged, Window, WindowImage, judge_frame
 
 BLOCK: Final = 10
 """Consecutive frames that are fitted one after the other by one process."""
@@ -241,15 +241,14 @@ def follow_window(solution: RecordedSolution, work: ArmSetup) -> list[TrackResul
     camera, images = recorded.rig.views[0].camera, []
     window = Window(session, camera, instrument, config)
     for i, fitted in enumerate(fits):
-        at, spread = predicted.at[i], predicted.spread[i]
-        evidence = FitEvidence.of(None, at, spread)
+        own: tuple[Any, ...] = ()
         if fitted is not None:
-            inflation, holds = fitted.stored.own.noises[0].inflation(camera.pixel_scale), fitted.fit.explains_mask
-            evidence = FitEvidence.of(fitted.fit, at, spread, inflation=inflation, holds=holds)
-        images.append(WindowImage(float(recorded.times[i]), predicted, i, evidence))
+            own = fitted.fit, fitted.stored.own.noises[0].inflation(camera.pixel_scale)
+        holds = fitted is not None and fitted.fit.explains_mask
+        images.append(WindowImage.of(float(recorded.times[i]), predicted, i, *own, holds=holds))
     found = window.solve(images)
     of_fits = zip(fits, found, images, strict=True)
-    shown = [(fitted.stored, own, image.fit.misfit) for fitted, own, image in of_fits if fitted is not None]
+    shown = [(fitted.stored, own, image.misfit) for fitted, own, image in of_fits if fitted is not None]
     of_shown = iter(run(partial(judge_frame, window=window, source=source), shown))
     nothing = Judged("lost", reasons(pose_lost(source, None)))
     frozen = frozen_since(recorded.frozen, [own.name for own in recorded.files])

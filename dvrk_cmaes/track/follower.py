@@ -33,7 +33,7 @@ from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.frame_fits import MaskedFit, fit_seen
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.view_segmenter import Mask, Seen, ViewSegmenter
-from dvrk_cmaes.track.window import FitEvidence, Found, Judged, Window, WindowImage
+from dvrk_cmaes.track.window import Found, Judged, Window, WindowImage
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,20 +168,19 @@ class Follower:
             seen = seen.without_frozen()
         before, self._deviation = self._deviation, None
         fitted = self._fit(seen, at, spread, before)
-        evidence = FitEvidence.of(None, at, spread)
+        image = WindowImage.of(time, predicted, 0)
         if fitted is not None:
             if fitted.holds:
                 self._deviation = fitted.fit.at.minus(at)
                 self._lengths |= {view.name: px for view, px in zip(fitted.views, fitted.own.lengths, strict=True)}
             inflation = fitted.own.noises[0].inflation(self._window.camera.pixel_scale)
-            evidence = FitEvidence.of(fitted.fit, at, spread, inflation=inflation, holds=fitted.holds)
+            image = WindowImage.of(time, predicted, 0, fitted.fit, inflation, holds=fitted.holds)
         self.masks = {} if fitted is None else fitted.masks
-        image = WindowImage(time, predicted, 0, evidence)
         self._images.append(image)
         (found,) = self._window.solve(list(self._images), only_last=True)
-        judged = self._judged(fitted, found, evidence.misfit, seen, predicted)
+        judged = self._judged(fitted, found, image.misfit, seen, predicted)
         if judged.error is not None:
-            self._count(judged, evidence.misfit, reading, in_view=shows_well(self.masks))
+            self._count(judged, image.misfit, reading, in_view=shows_well(self.masks))
         else:
             self.explained = False
         if self.explained and time - self._learned >= _LEARNED_EVERY:

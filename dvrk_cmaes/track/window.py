@@ -136,13 +136,16 @@ def _substituted(pivots: Float64, sides: Float64, coupling: Float64) -> tuple[Fl
 
 
 @dataclass(frozen=True, eq=False)
-class FitEvidence:
-    """What a fit tells of an image's deviation from its prediction.
+class WindowImage:
+    """An image of the window: its time, s, its prediction, the ``k``-th of some, and what its fit states about that.
 
-    ``information`` (D, D), ``optimum`` (D,) and ``by_masks`` (D, 7) are those of `FrameDeviations.of`, zero where it
-    tells nothing; ``misfit`` is the squared misfit per parameter.
+    ``information`` (D, D), ``optimum`` (D,) and ``by_masks`` (D, 7) are those of `smoothed_deviations`, zero where it
+    states nothing; ``misfit`` is the squared misfit per parameter.
     """
 
+    time: float
+    predicted: Prediction
+    k: int
     information: Float64
     optimum: Float64
     by_masks: Float64
@@ -151,23 +154,25 @@ class FitEvidence:
     @classmethod
     def of(
         cls,
-        fit: FrameFit | None,
-        predicted: Posed,
-        spread: Float64,
-        *,
+        time: float,
+        predicted: Prediction,
+        k: int,
+        fit: FrameFit | None = None,
         inflation: float = 1.0,
+        *,
         holds: bool = True,
-    ) -> FitEvidence:
-        """Weigh a fit by how it agrees with the prediction, whose covariance is ``spread`` (D, D).
+    ) -> WindowImage:
+        """Weigh a fit by how it agrees with the prediction.
 
         ``inflation`` is the factor by which the contour's roughness widens the covariance of the fit; one that does not
-        hold tells nothing.
+        hold states nothing.
         """
+        spread = predicted.spread[k]
         size = len(spread)
         nothing = np.zeros((size, MEAN_ERRORS))
         if fit is None:
-            return cls(np.zeros((size, size)), np.zeros(size), nothing, 0.0)
-        deviation = fit.at.minus(predicted)
+            return cls(time, predicted, k, np.zeros((size, size)), np.zeros(size), nothing, 0.0)
+        deviation = fit.at.minus(predicted.at[k])
         own = np.linalg.pinv(fit.information, rcond=1e-9, hermitian=True)
         least = deviation - own @ fit.slope
         misfit = float(least @ np.linalg.solve(spread + own, least)) / size
@@ -175,17 +180,7 @@ class FitEvidence:
         weight /= inflation * CORRELATED_FRAMES
         optimum = weight * (fit.information @ deviation - fit.slope)
         by_masks = nothing if fit.by_masks is None else weight * fit.by_masks
-        return cls(weight * fit.information, optimum, by_masks, misfit)
-
-
-@dataclass(frozen=True, eq=False)
-class WindowImage:
-    """An image of the window: its time, s, what its fit states, and its prediction, the ``k``-th of some."""
-
-    time: float
-    predicted: Prediction
-    k: int
-    fit: FitEvidence
+        return cls(time, predicted, k, weight * fit.information, optimum, by_masks, misfit)
 
     @property
     def at(self) -> Posed:
@@ -227,10 +222,10 @@ class Window:
         deviations, covariances, responses = smoothed_deviations(
             np.array([image.time for image in images]),
             np.array([image.predicted.prior[image.k] for image in images]),
-            np.array([image.fit.information for image in images]),
-            np.array([image.fit.optimum for image in images]),
+            np.array([image.information for image in images]),
+            np.array([image.optimum for image in images]),
             np.array([image.predicted.jacobian[image.k] for image in images]),
-            np.array([image.fit.by_masks for image in images]),
+            np.array([image.by_masks for image in images]),
             only_last=only_last,
         )
         calibrated, found = calibration_covariance(calibration), []

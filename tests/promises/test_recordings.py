@@ -270,16 +270,23 @@ def test_interrupted_run_begins_anew_with_the_same_results(
     assert found == expected
 
 
-def test_finished_recording_is_not_followed_again_and_not_mixed_with_other_settings(
+def test_another_run_replaces_all_that_an_earlier_one_wrote_and_nothing_else(
     kept: Kept, short: tuple[object, ...], tmp_path: Path
 ) -> None:
-    shutil.copytree(kept(*short, "--out", OUT).folder, tmp_path / "out")
-    before = content(tmp_path / "out")
-    assert not {"tracks.mp4", "report.html"} & {*before}
-    again = run(*short, "--out", tmp_path / "out", "--workers", 1)
-    assert (again.code, again.err) == (3, "")
-    assert "track.lag: None -> 0.1" in run(*short, "--lag", 0.1, "--out", tmp_path / "out").refusal
-    assert content(tmp_path / "out")["tracks.jsonl"] == before["tracks.jsonl"]
+    out = tmp_path / "out"
+    shutil.copytree(kept(*short, "--out", OUT).folder, out)
+    (out / "notes.txt").write_text("mine")
+    before = content(out)
+    page = (*short[:-2], "--no-video", "--lag", 0.1, "--out", out, "--workers", 1)
+    assert run(*page).code == 3
+    assert json.loads((out / "run.json").read_text())["track"]["lag"] == 0.1
+    now = content(out)
+    assert now["tracks.jsonl"] != before["tracks.jsonl"]
+    assert {*now} - {*before} == {"report.html"}
+    assert run(*short, "--out", out, "--workers", 1).code == 3
+    assert {*content(out)} == {*before}
+    assert content(out)["notes.txt"] == before["notes.txt"]
+    assert "no longer an option" in run(*short, "--overwrite", "--out", out).refusal
 
 
 def test_doubtful_calibration_makes_all_frames_doubtful(kept: Kept, short: tuple[object, ...], tmp_path: Path) -> None:
