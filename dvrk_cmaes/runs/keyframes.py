@@ -67,7 +67,7 @@ def with_keyframes(session: Session, most: int) -> Session:
     """
     series = series_of(session)
     times = np.array([0.0 if series is None else series.frames[own.name] for own in session.frames])
-    recorded = RecordedFrames.of(session.frames, session.rig, series, times)
+    recorded = RecordedFrames.of(session.frames, session.rig, series, times).with_own_masks()
     frames = tuple(session.frames[i] for i in recorded.keyframes(most))
     if not frames:
         raise InputError(
@@ -249,7 +249,7 @@ def begin_images(
     of_frames = {i: hints if i == 0 and hints != Hints() else hints_of(files[i]) or Hints() for i in chosen}
     tasks = [(files[i], of_frame) for i, of_frame in of_frames.items()]
     found: dict[int, FrameData | None] = dict(zip(chosen, work.run(segmented, tasks), strict=True))
-    recorded = _measured(recorded, found)
+    recorded = recorded.measured(found.items())
     if given is not None:
         return Begun.of(_with_colours(RecordedSolution(recorded, given, {}), work, found=found))
     work = replace(work, config=work.config.with_alike_masks())
@@ -270,7 +270,7 @@ def _with_more_masks(
     few = len(solved.calibration.frames) < _ENOUGH and len(recorded.rig.views) == 1
     if isinstance(solution, RecordedSolution) and few:
         more = _found_around(solution, found, work)
-        more_measured = _measured(recorded, more)
+        more_measured = recorded.measured(more.items())
         keyframes = _keyframes(more_measured, more)
         if len(keyframes) > _MORE * len(solved.calibration.frames):
             again = solved_alone(_begin_chosen(more_measured, keyframes, work, _FEWEST))
@@ -300,11 +300,6 @@ def _found_around(
     around: Sequence[FrameData | None] = work.run(find, solution.expected(predicted, others))
     again = dict(zip(others, around, strict=True))
     return {i: again.get(i, one) for i, one in found.items()}
-
-
-def _measured(recorded: RecordedFrames, found: Mapping[int, FrameData | None]) -> RecordedFrames:
-    """Measure the masks that were found."""
-    return recorded.measured((i, None if one is None else one.mask) for i, one in found.items())
 
 
 def _with_colours(

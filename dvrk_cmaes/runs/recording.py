@@ -17,7 +17,7 @@ from dvrk_cmaes.calibration.prediction import Prediction
 from dvrk_cmaes.calibration.session_problem import ArmSetup
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.frame import FrameData, FrameFiles, image_path, read_frame
+from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
 from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.interpolation import Sparseness
@@ -61,27 +61,22 @@ class RecordedFrames:
     def of(
         cls, files: tuple[FrameFiles, ...], rig: Rig, series: ReadingSeries | None, times: Float64
     ) -> RecordedFrames:
-        """Measure the masks of frames; InputError names a file that is wrong."""
-        shown = ((i, read_shown(own, rig)) for i, own in enumerate(files))
-        masks = ((i, None if data is None else data.mask) for i, data in shown)
-        return cls.of_readings(files, rig, series, times).measured(masks)
-
-    @classmethod
-    def of_readings(
-        cls, files: tuple[FrameFiles, ...], rig: Rig, series: ReadingSeries | None, times: Float64
-    ) -> RecordedFrames:
         """Return frames of whose masks nothing is known."""
         names = tuple(dict.fromkeys(name for own in files for name in own.readings))
         readings = np.array([[own.readings.get(name, np.nan) for name in names] for own in files])
         shapes, still = [MaskShape(0.0, 1.0)] * len(files), np.zeros(len(files), np.bool_)
         return cls(files, rig, series, times, shapes, names, readings, still, np.full((len(files), 2), np.nan))
 
-    def measured(self, masks: Iterable[tuple[int, Bool | None]]) -> RecordedFrames:
-        """Return the frames with the shapes of masks, which are given with the numbers of their frames."""
+    def with_own_masks(self) -> RecordedFrames:
+        """Return the frames with the shapes of their masks; InputError names a file that is wrong."""
+        return self.measured((i, read_seen(own, self.rig, images=False)) for i, own in enumerate(self.files))
+
+    def measured(self, frames: Iterable[tuple[int, FrameData | None]]) -> RecordedFrames:
+        """Return the frames with the shapes of masks, of frames that are given with their numbers."""
         shapes, centres = [MaskShape(0.0, 1.0)] * len(self.files), np.full((len(self.files), 2), np.nan)
-        for i, mask in masks:
-            if mask is not None and mask.any():
-                shapes[i], (rows, columns) = MaskShape.of(mask), np.nonzero(mask)
+        for i, data in frames:
+            if data is not None and data.mask.any():
+                shapes[i], (rows, columns) = MaskShape.of(data.mask), np.nonzero(data.mask)
                 centres[i] = columns.mean(), rows.mean()
         outer = outer_readings([own.readings for own in self.files])
         frozen = frozen_frames(outer, centres, self.rig.views[0].camera.width)
@@ -98,32 +93,20 @@ class RecordedFrames:
         return choose_keyframes(usable, self.times, self.names, self.readings, most)
 
 
-def read_shown(files: FrameFiles, rig: Rig) -> FrameData | None:
-    """Read a frame without its images; None if no view has a mask that shows something."""
-    if files.problem is not None:
-        raise InputError(files.problem)
-    masks = [own.mask for own in files.of_views(rig).values() if own.mask is not None]
-    if not masks:
+def read_seen(files: FrameFiles, rig: Rig, *, images: bool = True) -> FrameData | None:
+    """Read a frame by its masks, where it has any, or else its images, if these count; None if it has neither.
+
+    InputError for a file that is wrong.
+    """
+    files = files if images else files.changed(image=None, video=None)
+    if files.problem is None and not (files.has_mask or files.has_image):
         return None
-    without = files.changed(image=None)
     try:
-        return read_frame(without, rig, blank=True)
+        return read_frame(files, rig, blank=True)
     except InputError as error:
         if len(rig.views) > 1 and "mask is empty" in str(error):
             return None
         raise
-
-
-def read_seen(files: FrameFiles, rig: Rig) -> FrameData | None:
-    """Read a frame by its masks, where it has any, or else its images; None if it has neither.
-
-    InputError for a file that is wrong.
-    """
-    if files.problem is not None:
-        raise InputError(files.problem)
-    if not files.has_mask and image_path(files) is None:
-        return None
-    return read_frame(files, rig, blank=True)
 
 
 def predict(
@@ -217,10 +200,9 @@ class RecordedSolution:
     def expected(self, predicted: Prediction, numbers: Iterable[int]) -> list[PredictedFrame]:
         """Return some frames with what is predicted of them."""
         information, files = np.linalg.inv(predicted.spread), self.recorded.files
-        read = read_shown if self.colours is None else read_seen
+        read, at = partial(read_seen, rig=self.rig, images=self.colours is not None), predicted.at
         return [
-            PredictedFrame(files[i].name, partial(read, files[i], self.rig), Expected(predicted.at[i], information[i]))
-            for i in numbers
+            PredictedFrame(files[i].name, partial(read, files[i]), Expected(at[i], information[i])) for i in numbers
         ]
 
     def fits(self, predicted: Prediction, run: Run[Any, Any]) -> list[FittedFrame | None]:

@@ -23,6 +23,7 @@ from dvrk_cmaes.calibration.together import Begun, Outcome
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.geometry import Float64
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.atomic import write_json, write_text
 from dvrk_cmaes.io.encode import encoded
 from dvrk_cmaes.io.output import output
@@ -41,7 +42,7 @@ from dvrk_cmaes.runs.manifest import Manifest, frame_stamps, manifest_of
 from dvrk_cmaes.runs.pool import StoppedError, pool_of, run_with_body, usable_cores
 from dvrk_cmaes.runs.recording import RecordedFrames, RecordedSolution, follow_window
 from dvrk_cmaes.runs.solver_process import SolverProcess
-from dvrk_cmaes.runs.track_inputs import EvidenceKind, TrackClock, files_of_views, read_arrays, series_of
+from dvrk_cmaes.runs.track_inputs import EvidenceKind, TrackClock, files_of_views, read_arrays
 from dvrk_cmaes.runs.track_outputs import write_outputs
 from dvrk_cmaes.segment import segment
 from dvrk_cmaes.segment.segmentation import Hints
@@ -163,7 +164,7 @@ class TrackedArm:
     def _begin_keyframes(self, stack: ExitStack) -> Begun[RecordedSolution | str | None]:
         """Use the calibration that was given, or else solve the keyframes."""
         settings, method = self.settings, self.arm.method
-        frames, series = self.frames, series_of(self.session)
+        frames, series = self.frames, self.clock.series
         lag, given = None, self._given
         if settings.lag is not None:
             frames, series = _less_lag(frames, series, self.clock, settings.lag)
@@ -175,8 +176,8 @@ class TrackedArm:
         work = ArmSetup(series, self.body.instrument, method.arm, config, run, self._stage, lag=lag)
         by_masks = settings.evidence == "masks"
         times = np.array([self.clock.times[files.name] for files in frames])
-        measured = RecordedFrames.of if by_masks else RecordedFrames.of_readings
-        recorded = measured(frames, self.session.rig, series, times)
+        recorded = RecordedFrames.of(frames, self.session.rig, series, times)
+        recorded = recorded.with_own_masks() if by_masks else recorded
         self._work = work
         if given is not None and not recorded.trusted.any():
             return Begun.of("no frame has readings of the outer joints that are not frozen")
@@ -203,7 +204,7 @@ class TrackedArm:
         if calibration is not None and self.rows:
             write_json(self.out / SESSION, calibration.to_dict())
         times = np.array([self.clock.times[files.name] for files in self.frames]) - late
-        self.readings = self.clock.readings_at(times, self.arm.method.config.track.reading_gap)
+        self.readings = self.clock.readings_at(times)
         if not self.interrupted:
             write_table(self.out / TABLE, self.rows, self.body.instrument.joint_names)
             if self.rows:
@@ -230,12 +231,12 @@ class TrackedArm:
 
     def _forwards(self) -> None:
         """Follow the frames from image to image; readings are given to the tracker when their time has come."""
-        settings, method, readings = self.settings, self.arm.method, deque(self.clock.readings)
+        settings, method, readings = self.settings, self.arm.method, deque(self.clock.readings())
         tracker = Tracker(self.session.rig, self.body, method.session, method.config, arm=method.arm, lag=settings.lag)
         with ExitStack() as stack:
             self._report(0, len(self.frames))
             solver = None
-            if settings.use_joints and self.clock.outer_read:  # which alone tell of a base
+            if set(OUTER_JOINTS) <= {*self.clock.joints}:  # which alone tell of a base
                 solver = stack.enter_context(SolverProcess(self.body, threads=settings.workers or usable_cores()))
             schedule = SolutionSchedule(tracker, solver)
             for files in self.frames:
@@ -272,7 +273,7 @@ class TrackedArm:
 
     def _row(self, files: FrameFiles, result: TrackResult) -> dict[str, Any]:
         """Return the row of a frame in tracks.jsonl; without any readings, it says that nothing tells the mode."""
-        if not self.clock.readings and self.body.instrument.has_twin and result.status == "doubtful":
+        if not self.clock.joints and self.body.instrument.has_twin and result.status == "doubtful":
             result = replace(result, reasons=(NO_READINGS, *result.reasons))
         return result.to_dict(files.name, timed=self.clock.unit == "s")
 

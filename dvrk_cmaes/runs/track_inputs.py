@@ -17,8 +17,7 @@ from dvrk_cmaes.frames.frame import FrameFiles, frame_size, read_frame
 from dvrk_cmaes.frames.images import match_size
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Bool, Float64, Image
-from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, known_where, straight_line
+from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.lag import Unit
 from dvrk_cmaes.joints.series import ReadingSeries
 
@@ -29,33 +28,39 @@ EvidenceKind = Literal["masks", "images"]
 class TrackClock:
     """Times of images and readings in seconds.
 
-    times : of the images, by frame. unit : of the times in the session; where images are only counted, their times
-    follow from the number of images a second. interval : s, between consecutive images. readings : with their times,
-    in order.
+    ``times`` are those of the images, by frame. ``series`` has all readings, and the times of all frames, whose unit is
+    of ``seconds``: where images are only counted, their times follow from the number of images a second. It is None for
+    a single frame without a clock. ``joints`` are those whose readings are used.
     """
 
     times: Mapping[str, float]
-    unit: Unit
-    interval: float
-    readings: tuple[tuple[float, dict[str, float]], ...]
+    seconds: float
+    series: ReadingSeries | None
+    joints: tuple[str, ...]
 
     @property
-    def outer_read(self) -> bool:
-        """Whether each of the outer joints has a reading."""
-        return set(OUTER_JOINTS) <= {name for _, row in self.readings for name in row}
+    def unit(self) -> Unit:
+        """Unit of the times in the session."""
+        return "frames" if self.series is None else self.series.unit
 
-    def readings_at(self, times: Float64, gap: float) -> dict[str, Float64]:
-        """Interpolate the readings of each joint at times (F,), s; NaN before the first, after the last and in gaps.
+    @property
+    def interval(self) -> float:
+        """Time between consecutive images, s."""
+        return (1.0 if self.series is None else self.series.interval) * self.seconds
 
-        ``gap`` s is the longest time between two readings without a gap between them.
-        """
-        found = {}
-        for joint in sorted({name for _, row in self.readings for name in row}):
-            known = [(stamp, row[joint]) for stamp, row in self.readings if joint in row]
-            stamps, values = np.array(known, dtype=np.float64).T
-            series = TimedReadings((joint,), stamps, values[:, None])
-            found[joint] = series.at(times, known_where(apart=gap, at_readings=False), straight_line)[:, 0]
-        return found
+    def readings(self) -> list[tuple[float, dict[str, float]]]:
+        """Return the readings with their times, s, in order."""
+        rows: dict[float, dict[str, float]] = {}
+        for name in self.joints if self.series is not None else ():
+            for stamp, value in zip(self.series.times[name].tolist(), self.series.values[name].tolist(), strict=True):
+                rows.setdefault(stamp, {})[name] = value
+        return [(stamp * self.seconds, rows[stamp]) for stamp in sorted(rows)]
+
+    def readings_at(self, times: Float64) -> dict[str, Float64]:
+        """Interpolate the readings of each joint at times (F,), s; NaN where they are not known."""
+        if self.series is None:
+            return {}
+        return {joint: self.series.at((joint,), times / self.seconds)[:, 0] for joint in sorted(self.joints)}
 
     @staticmethod
     def of(
@@ -64,18 +69,10 @@ class TrackClock:
         """Find the times of frames and readings: the session's own, or else from the order of its frames."""
         series = series_of(session)
         if series is None:
-            return TrackClock({files.name: 0.0 for files in frames}, "frames", 1 / frames_a_second, ())
-        factor = 1.0 if series.unit == "s" else 1 / frames_a_second
-        rows: dict[float, dict[str, float]] = {}
-        for name, stamps in series.times.items() if use_joints else ():
-            for stamp, value in zip(stamps.tolist(), series.values[name].tolist(), strict=True):
-                rows.setdefault(stamp, {})[name] = value
-        return TrackClock(
-            {files.name: series.frames[files.name] * factor for files in frames},
-            series.unit,
-            series.interval * factor,
-            tuple((stamp * factor, rows[stamp]) for stamp in sorted(rows)),
-        )
+            return TrackClock({files.name: 0.0 for files in frames}, 1 / frames_a_second, None, ())
+        seconds = 1.0 if series.unit == "s" else 1 / frames_a_second
+        times = {files.name: series.frames[files.name] * seconds for files in frames}
+        return TrackClock(times, seconds, series, tuple(series.times) if use_joints else ())
 
 
 def series_of(session: Session) -> ReadingSeries | None:
