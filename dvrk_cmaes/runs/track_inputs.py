@@ -51,9 +51,11 @@ class TrackClock:
     def readings(self) -> list[tuple[float, dict[str, float]]]:
         """Return the readings with their times, s, in order."""
         rows: dict[float, dict[str, float]] = {}
-        for name in self.joints if self.series is not None else ():
-            for stamp, value in zip(self.series.times[name].tolist(), self.series.values[name].tolist(), strict=True):
-                rows.setdefault(stamp, {})[name] = value
+        if self.series is not None:
+            for name in self.joints:
+                read = zip(self.series.times[name].tolist(), self.series.values[name].tolist(), strict=True)
+                for stamp, value in read:
+                    rows.setdefault(stamp, {})[name] = value
         return [(stamp * self.seconds, rows[stamp]) for stamp in sorted(rows)]
 
     def readings_at(self, times: Float64) -> dict[str, Float64]:
