@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -355,6 +356,13 @@ def _masks_of_an_arm(folder: Path) -> Sequence[str]:
     return ["inspect", "session"]
 
 
+def _masks_of_two_arms(folder: Path) -> Sequence[str]:
+    """Write a session whose masks are in folders of two arms, which is inspected."""
+    words = _masks_of_an_arm(folder)
+    shutil.copytree(folder / "session" / "masks" / "PSM1", folder / "session" / "masks" / "PSM2")
+    return words
+
+
 def _renamed_masks(word: str) -> Callable[[Path], Sequence[str]]:
     """Return a function that writes a session whose masks have a word in their names, which is inspected."""
 
@@ -492,7 +500,8 @@ CASES: Final = (
     LabCase("masks N_mask", _renamed_masks("N_mask.png"), "2 frames: 0, 1.*readings 2"),
     LabCase("masks mask_N", _renamed_masks("mask_N.png"), "2 frames: 0, 1.*readings 2"),
     LabCase("masks as TIFF", _renamed_masks("N.tif"), "rename it to .png", (REFUSED,)),
-    LabCase("masks in a folder of the arm", _masks_of_an_arm, r'masks = "masks/PSM1"', (REFUSED,)),
+    LabCase("masks in a folder of the arm", _masks_of_an_arm, "masks 1, images 0, readings 1"),
+    LabCase("masks in folders of two arms", _masks_of_two_arms, r'masks = "masks/PSM1"', (REFUSED,)),
     LabCase(
         "names that do not meet",
         _inspected([f"{k:05d}" for k in range(3)], _rows(range(1000, 1009))),

@@ -29,10 +29,11 @@ from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.camera.files import Side, guessed_camera, read_camera_file
 from dvrk_cmaes.camera.rig_files import read_rig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.coco_mask import FILES, ROBOFLOW, frames_of
+from dvrk_cmaes.frames.coco_mask import FILES, frames_of
 from dvrk_cmaes.frames.frame import FrameFiles, frame_size
 from dvrk_cmaes.frames.keypoints import Hints, read_boxes, read_keypoints
 from dvrk_cmaes.frames.own_files import check_own
+from dvrk_cmaes.frames.paired_names import paired, with_names_of
 from dvrk_cmaes.frames.picture_fit import fitted
 from dvrk_cmaes.frames.published_layout import find_published_frames, is_published_layout
 from dvrk_cmaes.frames.session_toml import CameraEntry, ToolEntry, read_session_toml
@@ -59,7 +60,6 @@ UNCALIBRATED = "without a calibration: `dvrk-cmaes calibrate FOLDER`, and `dvrk-
 _DIGITS = 6  # of the name of a frame that is only numbered
 _COUNTED = 3  # frames from which on their numbers may be those of every N-th image
 _MANY = 2  # times as many rows as frames that are the first of them
-_WORD = re.compile(r"^(?:mask|label|seg)s?[_-]|[_-](?:mask|label|seg|gt)s?$", re.IGNORECASE)
 _VIEWS = ("left", "right")
 _CAMERAS = (
     *(f"camera.{suffix}" for suffix in ("yaml", "yml", "xml", "json", "mat", "txt")),
@@ -350,6 +350,9 @@ def _pictures(root: Path, mask_folder: Path, views: Sequence[str], *, filmed: bo
         if folder.is_symlink() and not folder.exists():
             raise InputError(f"{folder}: expected a folder, got a link to nothing")
     of_views = [[image_files(folder / view) for folder in folders] for view in views]
+    inner = [path for path in mask_folder.iterdir() if path.is_dir()] if mask_folder.is_dir() else []
+    if len(views) == len(inner) == 1 and not of_views[0][0]:
+        of_views[0][0] = image_files(inner[0])
     if len(views) == 1 and not of_views[0][0]:
         masks = of_views[0][0] = _masks_as_json(root, mask_folder)
         _refuse_annotations(root, mask_folder, masks)
@@ -391,9 +394,9 @@ def _session_frames(
         source if isinstance(source, JointFile) else read_joint_file(source, known=known, read_as=read_as)
         for source in sources
     ]
-    named = set(images).union(*(file.names for file in files if file.labels == "frame"))
+    rows = dict.fromkeys(name for file in files if file.labels == "frame" for name in file.names)
     for kinds in of_views:
-        kinds[0] = with_names_of(mask_folder, kinds[0], kinds[1], named)
+        kinds[0] = with_names_of(mask_folder, kinds[0], kinds[1], rows)
     masks = of_views[0][0]
     # lexists: a broken link is an error, not a missing file
     times = read_image_times(tables[0]) if os.path.lexists(tables[0]) else {}
@@ -407,6 +410,8 @@ def _session_frames(
         for name in sorted(set(films).union(*(files for kinds in of_views for files in kinds[:2])), key=natural)
     }
     files, remarks = _meeting(files, image_times, read_as)
+    if images and (alone := [name for name in masks if name not in images and name not in rows]):
+        remarks.append(f"masks without an image or a row of readings: {listed(alone)}")
     frames, farthest = [], None
     for name, time in image_times.items():
         others = {
@@ -479,32 +484,6 @@ def _refuse_annotations(root: Path, folder: Path, masks: Mapping[str, Path]) -> 
         raise InputError(f"{path}: expected masks (PNG or JPEG, or masks.json), got {foreign(path.read_bytes())}")
 
 
-def with_names_of(
-    folder: Path, masks: Mapping[str, Path], images: Mapping[str, Path], named: set[str]
-) -> Mapping[str, Path]:
-    """Return masks by the names of frames: as they are, or without an annotator's words, or by their equal numbers.
-
-    Raises
-    ------
-    InputError
-        No mask has the name or the number of an image or of a row of the readings, though there are about as many
-        images as masks.
-    """
-    if not masks or not named or not named.isdisjoint(masks):
-        return masks
-    for key in (lambda name: _WORD.sub("", name), lambda name: ROBOFLOW.sub("", name), number_of):
-        frames, own = {key(name): name for name in named}, {key(name): name for name in masks}
-        met = {*frames} & {*own} - {None}
-        if met and len(frames) == len(named) and len(own) == len(masks):
-            return {frames.get(key(name), name): path for name, path in masks.items()}
-    if len(images) > 1 and 2 * len(images) >= len(masks):
-        raise InputError(
-            f"{folder}: expected masks with the names or the numbers of the frames, got {listed(masks, 2)} and frames "
-            f"{listed(sorted(named, key=natural), 2)}: rename them, or leave the images out"
-        )
-    return masks
-
-
 def _meeting(
     files: Sequence[JointFile], image_times: Mapping[str, int | None], read_as: ReadAs
 ) -> tuple[list[JointFile], list[str]]:
@@ -526,6 +505,9 @@ def _meeting(
             met.append(file.by_number(frames, read_as.offset, read_as.step))
             continue
         labels = list(file.names)
+        if file.labels == "frame":
+            rows = {row: name for name, row in paired(frames, labels).items()}
+            file = replace(file, names={rows.get(row, row): place for row, place in file.names.items()})
         common = [name for name in frames if (name if file.labels == "frame" else str(number_of(name))) in file.names]
         if not common and len(frames) > 1:  # a single frame may lack readings
             raise InputError(

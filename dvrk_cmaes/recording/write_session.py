@@ -22,7 +22,8 @@ import numpy as np
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.coco_mask import FILES, frames_of
 from dvrk_cmaes.frames.images import THRESHOLD, match_size
-from dvrk_cmaes.frames.session_folder import image_files, read_session, with_names_of
+from dvrk_cmaes.frames.paired_names import with_names_of
+from dvrk_cmaes.frames.session_folder import image_files, read_session
 from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, session_toml
 from dvrk_cmaes.frames.video_frames import open_capture
 from dvrk_cmaes.io.atomic import write_text
@@ -341,13 +342,13 @@ def write_masks(given: Path, folder: Path, names: Sequence[str], numbers: Sequen
     """
     if given.is_dir():
         masks = image_files(given)
-        met = {name: path for name, path in with_names_of(given, masks, {}, {*names}).items() if name in {*names}}
+        met = {name: path for name, path in with_names_of(given, masks, (), names).items() if name in {*names}}
         for name, path in met.items():
             write_bytes(folder / "masks" / f"{name}{path.suffix.lower()}", path.read_bytes())
         found, there = len(met), [*masks]
     elif given.suffix.lower() == ".json":
         there = [*frames_of(given)]
-        found = len({*names} & {*with_names_of(given, dict.fromkeys(there, given), {}, {*names})}) if there else 0
+        found = len({*names} & {*with_names_of(given, dict.fromkeys(there, given), (), names)}) if there else 0
         write_bytes(folder / FILES[0], given.read_bytes())
     else:
         wanted, there = dict(zip(numbers, names, strict=True)), list[str]()

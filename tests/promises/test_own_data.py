@@ -115,3 +115,49 @@ def test_camera_that_is_missing_says_what_to_do(tmp_path: Path) -> None:
     assert said(run("batch", tmp_path, "--out", tmp_path / "out"))
     assert said(run("estimate", "--image", picture, "--out", tmp_path / "out"))
     assert said(run("import", DEMO / "images", "--out", tmp_path / "out"))
+
+
+def demo_as(folder: Path, mask: str, image: str = "{:04d}.jpg", row: str = "{:04d}") -> Path:
+    """Copy the demo's session with other names of masks, images and rows, given as formats of a frame's number."""
+    for k in range(5):
+        for kind, source, name in (("masks", f"{k:04d}.png", mask), ("images", f"{k:04d}.jpg", image)):
+            target = folder / kind / name.format(k)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(DEMO / kind / source, target)
+    shutil.copy(DEMO / "camera.yaml", folder)
+    head, *rows = (DEMO / "joints.csv").read_text().splitlines()
+    named = [row.format(int(line.partition(",")[0])) + "," + line.partition(",")[2] for line in rows]
+    (folder / "joints.csv").write_text("\n".join([head, *named]) + "\n")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("mask", "image", "row"),
+    [
+        ("{:04d}.jpg.png", "{:04d}.jpg", "{:04d}"),
+        ("{:04d}_jpg.rf.ab12cd34_mask.png", "{:04d}_jpg.rf.ab12cd34.jpg", "{:04d}"),
+        ("2024-05-01_{:05d}_seg.png", "{:04d}.jpg", "frame_{:06d}"),
+        ("001/{:05d}.png", "{:04d}.jpg", "{}"),
+        ("SegmentationClass/frame_{:06d}.PNG", "frame{}.JPG", "{:04d}"),
+        ("left_{}.png", "clip_7_{:05d}.jpg", "{:04d}"),
+    ],
+)
+def test_masks_images_and_rows_of_one_frame_are_found_by_their_numbers(
+    tmp_path: Path, mask: str, image: str, row: str
+) -> None:
+    found, known = read_session(demo_as(tmp_path, mask, image, row)), read_session(DEMO)
+    assert [Path(image.format(k)).stem for k in range(5)] == [files.name for files in found.frames]
+    for files, same in zip(found.frames, known.frames, strict=True):
+        assert files.readings == same.readings
+        assert files.mask is not None
+        assert same.mask is not None
+        assert Path(files.mask).read_bytes() == Path(same.mask).read_bytes()
+
+
+def test_masks_that_pair_with_no_image_are_named_and_two_of_one_image_refused(tmp_path: Path) -> None:
+    folder = demo_as(tmp_path, "{:04d}.png")
+    mask = (folder / "masks" / "0000.png").read_bytes()
+    (folder / "masks" / "other_77.png").write_bytes(mask)
+    assert "masks without an image or a row of readings: other_77" in run("inspect", folder).out
+    (folder / "masks" / "3.png").write_bytes(mask)
+    assert "3.png: expected one mask for image 0003, got several" in run("inspect", folder).refusal

@@ -169,7 +169,7 @@ def test_command_line_is_refused_by_what_is_wrong_with_it(tmp_path: Path, kind: 
 
 def _other_frames(session: Path) -> None:
     text = (session / "joints.csv").read_text()
-    (session / "joints.csv").write_text(text.replace("\n0", "\nx"))
+    (session / "joints.csv").write_text(text.replace("\n0", "\n9"))
 
 
 def _without_camera(session: Path) -> None:

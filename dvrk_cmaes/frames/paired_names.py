@@ -1,0 +1,89 @@
+"""Names of the masks, images and rows of readings of one frame, as annotators and recorders call them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Hashable, Iterable, Mapping
+from pathlib import Path
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.coco_mask import ROBOFLOW
+from dvrk_cmaes.io.short_text import listed, natural
+from dvrk_cmaes.joints.rows import number_of
+
+_ADDED = re.compile(
+    rf"^(?:mask|label|seg)s?[_-]|[_-](?:mask|label|seg|gt)s?$|\.(?:png|jpe?g|bmp|tiff?)$|{ROBOFLOW.pattern}",
+    re.IGNORECASE,
+)
+
+
+def paired(names: Iterable[str], others: Iterable[str]) -> dict[str, str]:
+    """Pair names with others: equal ones, else those equal without an annotator's words, else those of equal numbers.
+
+    Parameters
+    ----------
+    names
+        Such as those of masks.
+    others
+        Such as those of images.
+
+    Returns
+    -------
+    dict
+        The other name by name; not of a name without one, or that several of either would pair with.
+    """
+    own, rest = list(names), dict.fromkeys(others)
+    found = {name: name for name in own if name in rest}
+    for key in (_without_words, _number):
+        if len(found) < len(own):
+            taken = set(found.values())
+            left = _unique(key, (name for name in own if name not in found))
+            free = _unique(key, (name for name in rest if name not in taken))
+            found |= {name: free[each] for each, name in left.items() if each in free}
+    return found
+
+
+def with_names_of(
+    folder: Path, masks: Mapping[str, Path], images: Iterable[str], rows: Iterable[str]
+) -> Mapping[str, Path]:
+    """Return masks by the names of the images, or of the rows of readings, that they pair with, others by their own.
+
+    Raises
+    ------
+    InputError
+        Most masks pair with no image or row, though there are about as many images as masks; or two have the number of
+        one image.
+    """
+    images, rows = list(images), list(rows)
+    met, of_images = paired(masks, images), set(paired(images, rows).values())
+    met |= paired((name for name in masks if name not in met), (row for row in rows if row not in of_images))
+    alone = [name for name in masks if name not in met]
+    if 2 * len(alone) > len(masks) and len(images) > 1 and 2 * len(images) >= len(masks):
+        raise InputError(
+            f"{folder}: expected masks with the names or the numbers of the frames, got {listed(alone, 2)} and frames "
+            f"{listed(sorted(images, key=natural), 2)}: rename them, or leave the images out"
+        )
+    numbers = {_number(name): name for name in images}
+    for name in (name for name in alone if _number(name) in numbers.keys() - {None}):
+        raise InputError(f"{masks[name]}: expected one mask for image {numbers[_number(name)]}, got several")
+    return {met.get(name, name): path for name, path in masks.items()}
+
+
+def _without_words(name: str) -> str:
+    """Return a name without what annotators add to it."""
+    while (shorter := _ADDED.sub("", name)) != name:
+        name = shorter
+    return name
+
+
+def _number(name: str) -> int | None:
+    """Return the number that a name ends in without an annotator's words; None if it does not."""
+    return number_of(_without_words(name))
+
+
+def _unique(key: Callable[[str], Hashable], names: Iterable[str]) -> dict[Hashable, str]:
+    """Return names by their keys that are not None, without those of equal keys."""
+    found: dict[Hashable, list[str]] = {}
+    for name in names:
+        found.setdefault(key(name), []).append(name)
+    return {each: of_key[0] for each, of_key in found.items() if each is not None and len(of_key) == 1}
