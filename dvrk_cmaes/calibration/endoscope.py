@@ -44,7 +44,6 @@ _TURNS: Final = np.deg2rad(np.arange(-150.0, 181.0, 30.0))
 _NOISE: Final = np.array([np.deg2rad(0.02), np.deg2rad(0.02), 3e-5, np.deg2rad(0.02)])  # least, from frame to frame
 _MOST_NOISE: Final = np.array([np.deg2rad(0.5), np.deg2rad(0.5), 8e-4, np.deg2rad(0.5)])
 _SAME: Final = 4.0  # standard deviations of that, within which readings are of one place
-_LIKE_A_RADIAN: Final = np.array([1.0, 1.0, 0.1, 1.0])  # of each joint, in distances between readings, rad and m
 _STANDS: Final = 3  # frames, from which on a place is one where the endoscope stands
 
 
@@ -202,31 +201,15 @@ class Place:
 
 
 @dataclass(frozen=True, eq=False)
-class _Tips:
-    """Where the tip of an endoscope whose arm is read is in N frames, at some ``values`` of the unknowns.
-
-    ``ecm_from_tip`` (N, 4, 4), m, and its Jacobian ``by_joints`` (N, 6, 4); ``reference`` (4, 4) and
-    ``reference_by_joints`` (6, 4) are those at the reference place.
-    """
-
-    values: EndoscopeValues
-    ecm_from_tip: Float64
-    by_joints: Float64
-    reference: Float64
-    reference_by_joints: Float64
-
-
-@dataclass(frozen=True, eq=False)
 class Steered(Endoscope):
     """An endoscope whose arm is read, in N frames.
 
-    ``read`` (N, 4) are the readings, rad and m, ``places`` where it stands, the first of which is the reference;
-    ``_known`` is what `_tips` has computed last.
+    ``read`` (N, 4) are the readings, rad and m, ``places`` where it stands, the first of which is the reference. While
+    it is moved, its readings have the error of the nearest place, and one of their own (`loadings`).
     """
 
     read: Float64
     places: tuple[Place, ...]
-    _known: _Tips | None = None
 
     @classmethod
     def of(cls, read: Float64, places: Sequence[Place] = ()) -> Steered | None:
@@ -248,56 +231,35 @@ class Steered(Endoscope):
         return cls(start, start.std, read, places)
 
     @cached_property
+    def _away(self) -> Float64:
+        """How far (N, P + 1) the readings are from those at each place, as a share of how far others of it are."""
+        readings, within = (np.array([getattr(one, name) for one in self.places]) for name in ("readings", "within"))
+        return np.asarray((np.abs(self.read[:, None] - readings) / np.maximum(within, 1e-12)).max(axis=2))
+
+    @property
     def place(self) -> Indices:
         """Number (N,) of the place at which the endoscope stands in each frame; -1 while it is moved."""
-        readings, within = (np.array([getattr(one, name) for one in self.places]) for name in ("readings", "within"))
-        away = (np.abs(self.read[:, None] - readings) / np.maximum(within, 1e-12)).max(axis=2)
-        return np.where(away.min(axis=1) <= 1, away.argmin(axis=1), -1)
-
-    @cached_property
-    def shares(self) -> Float64:
-        """Shares (N, P + 1) of the errors at the places in that of the readings of each frame.
-
-        While the endoscope is moved, the error changes from that at one place to that at the other in proportion to the
-        way: these are the two places between whose readings those of the frame lie.
-        """
-        places, out = len(self.places), np.zeros((len(self.read), len(self.places)))
-        at = np.array([one.readings for one in self.places]) / _LIKE_A_RADIAN
-        away = np.linalg.norm(self.read[:, None] / _LIKE_A_RADIAN - at, axis=2)
-        pairs = np.array([(i, j) for i in range(places) for j in range(i + 1, places)] or [(0, 0)])
-        apart = np.linalg.norm(at[pairs[:, 0]] - at[pairs[:, 1]], axis=1)
-        first, second = pairs[(away[:, pairs].sum(axis=2) - apart).argmin(axis=1)].T
-        frames = np.arange(len(out))
-        way = np.maximum(away[frames, first] + away[frames, second], 1e-12)
-        np.add.at(out, (frames, first), away[frames, second] / way)
-        np.add.at(out, (frames, second), away[frames, first] / way)
-        stands = self.place >= 0
-        out[stands] = np.eye(places)[self.place[stands]]
-        return out
+        return np.where(self._away.min(axis=1) <= 1, self._away.argmin(axis=1), -1)
 
     def at(self, read: Float64) -> Steered:
         """Return the endoscope with other readings (N, 4) of the frames; a frame without has those of its neighbour."""
         return Steered(self.start, self.loose, filled(read), self.places, shared=self.shared)
 
-    def _joints(self, values: EndoscopeValues) -> Float64:
-        """Return the joints (N, 4) of the ECM in each frame."""
-        readings = np.array([one.readings for one in self.places])
-        read = np.where(self.place[:, None] >= 0, readings[self.place], self.read)
-        return read + self.shares[:, 1:] @ values.errors + values.offsets
+    def _tips(self, values: EndoscopeValues) -> tuple[Float64, Float64]:
+        """Compute the tip (N, 4, 4) in the frame of the ECM in each frame, m, and its Jacobian (N, 6, 4)."""
+        readings, nearest = np.array([one.readings for one in self.places]), self._away.argmin(axis=1)
+        read = np.where(self.place[:, None] >= 0, readings[nearest], self.read)
+        errors = np.concatenate([np.zeros((1, 4)), values.errors])[nearest]
+        return ecm_from_tip_and_jacobian(read + errors + values.offsets)
 
-    def _tips(self, values: EndoscopeValues) -> _Tips:
-        """Return where the tip is, and keep it, because many bases are tried with the same values."""
-        if self._known is None or self._known.values is not values:
-            joints, reference = self._joints(values), self.places[0].readings + values.offsets
-            known = _Tips(values, *ecm_from_tip_and_jacobian(joints), *ecm_from_tip_and_jacobian(reference))
-            object.__setattr__(self, "_known", known)
-            return known
-        return self._known
+    def _reference_tip(self, values: EndoscopeValues) -> tuple[Float64, Float64]:
+        """Compute the tip (4, 4) at the reference place, m, and its Jacobian (6, 4)."""
+        return ecm_from_tip_and_jacobian(self.places[0].readings + values.offsets)
 
     def relative(self, values: EndoscopeValues) -> Float64:
         """Compute the reference camera's pose (N, 4, 4) in each frame's camera, m."""
-        tips, tip_from_camera = self._tips(values), values.tip_from_camera
-        return np.asarray(inverse(tips.ecm_from_tip @ tip_from_camera) @ tips.reference @ tip_from_camera)
+        own, reference, tip_from_camera = self._tips(values)[0], self._reference_tip(values)[0], values.tip_from_camera
+        return np.asarray(inverse(own @ tip_from_camera) @ reference @ tip_from_camera)
 
     def ecm_from_base(self, values: EndoscopeValues, camera_from_base: Float64) -> tuple[Float64, Float64]:
         """Compute an arm's base (4, 4) in that of the ECM, and its changes (6, 10) by hand-eye and offsets.
@@ -309,7 +271,7 @@ class Steered(Endoscope):
         camera_from_base : (4, 4)
             The arm's base in the reference camera, m, in whose axes the changes are, m and rad.
         """
-        tip, of_tip = ecm_from_tip_and_jacobian(self.places[0].readings + values.offsets)
+        tip, of_tip = self._reference_tip(values)
         base_from_camera = adjoint(inverse(camera_from_base))
         by_hand_eye = base_from_camera @ in_tip(values.tip_from_camera).T
         by_offsets = base_from_camera @ adjoint(inverse(values.tip_from_camera)) @ of_tip
@@ -318,14 +280,15 @@ class Steered(Endoscope):
     def jacobian(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:
         """Compute the changes (N, 6, M) of each frame's camera_from_base by the unknowns."""
         own, of_joints = self._by_joints(values, camera_from_base)
-        first = self._tips(values).reference_by_joints
+        first = self._reference_tip(values)[1]
         base_from_camera = inverse(camera_from_base)
         to_base = adjoint(base_from_camera)
         out = np.zeros((len(self.read), 6, len(values.deviation)))
         out[:, :, :6] = (to_base - adjoint(own)) @ in_tip(values.tip_from_camera).T
         out[:, :, 6:10] = of_joints + to_base @ adjoint(inverse(values.tip_from_camera)) @ first
-        for number, share in enumerate(self.shares.T[1:], start=1):
-            out[:, :, 6 + 4 * number : 10 + 4 * number] = share[:, None, None] * of_joints
+        for number in range(1, len(self.places)):
+            own_place = self._away.argmin(axis=1) == number
+            out[own_place, :, 6 + 4 * number : 10 + 4 * number] = of_joints[own_place]
         return out
 
     def loadings(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:
@@ -336,16 +299,11 @@ class Steered(Endoscope):
     def _by_joints(self, values: EndoscopeValues, camera_from_base: Float64) -> tuple[Float64, Float64]:
         """Compute the cameras in the base (N, 4, 4), and the changes (N, 6, 4) of the bases by the ECM."""
         own = inverse(self.relative(values) @ camera_from_base)
-        return own, -adjoint(own @ inverse(values.tip_from_camera)) @ self._tips(values).by_joints
+        return own, -adjoint(own @ inverse(values.tip_from_camera)) @ self._tips(values)[1]
 
     def subset(self, index: Sequence[int] | NDArray[np.integer]) -> Steered:
         """Return the endoscope in the frames at some indices."""
-        if (known := self._known) is None:
-            return replace(self, read=self.read[index])
-        known = replace(known, ecm_from_tip=known.ecm_from_tip[index], by_joints=known.by_joints[index])
-        other = replace(self, read=self.read[index], _known=known)
-        other.__dict__.update(place=self.place[index], shares=self.shares[index])
-        return other
+        return replace(self, read=self.read[index])
 
     def hand_eyes(self) -> list[Steered]:
         """Return the endoscope with cameras in its tip that may be, at any turn about its axis.
