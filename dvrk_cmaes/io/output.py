@@ -140,16 +140,14 @@ def _locked(folder: Path, command: str, wait: float) -> int:
 def _lock(run: int, held: Path) -> bool:
     """Lock run.json, or else make the file that stands for the lock; returns whether no other command has it."""
     try:
-        fcntl.flock(run, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError as error:
-        if error.errno not in _CANNOT_LOCK:
-            raise
         try:
+            fcntl.flock(run, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if error.errno not in _CANNOT_LOCK:
+                raise
             held.touch(exist_ok=False)
-        except FileExistsError:
-            return False
+    except (BlockingIOError, FileExistsError):
+        return False
     return True
 
 

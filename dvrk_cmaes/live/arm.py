@@ -26,7 +26,6 @@ Pixels = NDArray[np.uint8]
 Mask = Bool
 Readings = Sequence[tuple[float, Mapping[str, float]]]
 """Times, s, and readings of joints by name, rad (insertion: m)."""
-DrawOverlay = Callable[[Pixels, TrackResult, str], Pixels]
 
 OLD: Final = 1.0
 """Age, s, from which on a pose is doubtful."""
@@ -70,9 +69,6 @@ class LiveArm:
         Takes lines for the user.
     now
         The clock, s.
-    draw
-        Makes, for cameras, a function that draws a result, and how far the base is known, over the image of the first
-        eye; None to publish no overlay.
     origin
         The time, ns, from which those of the tracker are counted: seconds since 1970 have few digits left.
     """
@@ -85,13 +81,11 @@ class LiveArm:
         report: Report,
         now: Callable[[], float],
         *,
-        draw: Callable[[Rig], DrawOverlay] | None = None,
         origin: int = 0,
     ) -> None:
         self.name, self.state, self.base_state = name, "waiting for the camera", ""
         self.poses = self.ok = self.published = 0
-        self.draws = draw is not None
-        self._make_tracker, self._make_drawing = make_tracker, draw
+        self.draws, self._make_tracker = outputs.drawn is not None, make_tracker
         self._outputs, self._report, self._now = outputs, report, now
         self._reason, self._stated = "", now()
         self._failures, self._origin = 0, origin
@@ -100,7 +94,7 @@ class LiveArm:
         """Follow anew, by these cameras."""
         self._rig, self._tracker, self._failures = rig, self._make_tracker(rig), 0
         self.base_state = self._tracker.state
-        self._draw = None if self._make_drawing is None else self._make_drawing(rig)
+        self._outputs.begin(rig)
 
     def start(self, readings: Sequence[JointMessage], frame: LiveFrame, arrays: Decoded) -> int:
         """Begin to follow a frame with the readings since the last one.
@@ -135,9 +129,7 @@ class LiveArm:
 
     def _publish(self, result: TrackResult, age: Callable[[], float], silent: Sequence[str]) -> None:
         frame, image = self._frame, next(iter(self._arrays.images.values()), None)
-        state = self._tracker.state
-        overlay = None if self._draw is None or image is None else self._draw(image, result, state)
-        old = age()
+        state, old = self._tracker.state, age()
         doubts = reasons(image_old(old, OLD))
         self.published += self._outputs.publish(
             frame.time,
@@ -145,7 +137,7 @@ class LiveArm:
             age=old,
             doubts=doubts,
             silent=silent,
-            overlay=overlay,
+            image=image,
             calibration=state,
         )
         self.poses += result.camera_from_root is not None and result.status != "lost"

@@ -24,7 +24,7 @@ from dvrk_cmaes.live.arm_process import ArmProcess, Process, make_here
 from dvrk_cmaes.live.connection import Connection, LogThrottle, Report
 from dvrk_cmaes.live.inputs import Inputs, InputTopics
 from dvrk_cmaes.live.loop import LiveCounts, LiveLoop
-from dvrk_cmaes.live.outputs import LiveOverlay, Outputs
+from dvrk_cmaes.live.outputs import Outputs
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.keyframe_problem import SolutionSchedule, Solver
@@ -94,10 +94,9 @@ class LiveSetup:
             else:
                 followed = ArmProcess(stack.enter_context(apart(partial(make_here, here))), say)
             stack.callback(followed.close)
-            outputs = Outputs(connection, own.names, own.body.instrument.root_link)
-            draw = partial(LiveOverlay, own.body) if self.overlay else None
-            name, now = own.names.arm, inputs.now
-            arms.append(LiveArm(name, followed.begin, outputs, say, now, draw=draw, origin=self.origin))
+            drawn = own.body if self.overlay else None
+            outputs = Outputs(connection, own.names, own.body.instrument.root_link, drawn)
+            arms.append(LiveArm(own.names.arm, followed.begin, outputs, say, inputs.now, origin=self.origin))
         return LiveLoop(arms, inputs, LogThrottle(report), rig=self.rig, show=show)
 
 

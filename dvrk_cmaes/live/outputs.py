@@ -34,21 +34,6 @@ from dvrk_cmaes.live.connection import Connection
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.silhouette import Body, Renderer
 
-
-class LiveOverlay:
-    """Draws results over images of the first camera of a rig."""
-
-    def __init__(self, body: Body, rig: Rig) -> None:
-        self._renderer = Renderer(body, rig.camera, threads=1)
-
-    def __call__(self, image: NDArray[np.uint8], result: TrackResult, state: str) -> NDArray[np.uint8]:
-        """Return a copy of an image (H, W, 3), BGR, with the outline of a result's silhouette, status and ``state``."""
-        canvas = Canvas(replace(result, renderer=self._renderer).overlay(image), 1.0)
-        for line, text in enumerate((": ".join([result.status, *result.reasons[:1]]), state)):
-            canvas.text(text, (8.0, 14.0 + 16.0 * line), rim=True)
-        return canvas.image
-
-
 _DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
 _COMPRESSED: Final = "sensor_msgs/msg/CompressedImage"
 _LEVELS: Final = {"ok": 0, "doubtful": 1, "lost": 2}  # OK, WARN and ERROR
@@ -56,12 +41,17 @@ _JPEG_QUALITY: Final = 80
 
 
 class Outputs:
-    """Publishes results on a connection; ``root_link`` names the child frame in tf, after the arm."""
+    """Publishes results on a connection; ``root_link`` names the child frame in tf, after the arm.
 
-    def __init__(self, connection: Connection, names: FrameNames, root_link: str = "roll_link") -> None:
+    With an instrument ``drawn``, each image of the first camera is published with the outline of its silhouette.
+    """
+
+    def __init__(
+        self, connection: Connection, names: FrameNames, root_link: str = "roll_link", drawn: Body | None = None
+    ) -> None:
         names.check_tf()
         self._connection = connection
-        self._names = names
+        self._names, self.drawn = names, drawn
         self._child = f"{names.arm}_{root_link}"
         self._namespace = f"{FOUND}/{names.arm}"
         topics = {
@@ -74,6 +64,10 @@ class Outputs:
         for topic, kind in topics.items():
             connection.advertise(topic, kind)
 
+    def begin(self, rig: Rig) -> None:
+        """Publish what is found by other cameras from now on."""
+        self._renderer = None if self.drawn is None else Renderer(self.drawn, rig.camera, threads=1)
+
     def publish(
         self,
         time: int,
@@ -82,14 +76,14 @@ class Outputs:
         age: float = 0.0,
         doubts: Sequence[str] = (),
         silent: Sequence[str] = (),
-        overlay: NDArray[np.uint8] | None = None,
+        image: NDArray[np.uint8] | None = None,
         calibration: str = "",
     ) -> bool:
         """Publish the result of the image of a time, ns; returns whether everything was sent.
 
         ``age`` is that of the image, s, and ``doubts`` are reasons why a pose is not
-        ok that its tracker does not know. ``silent`` are topics that have stopped; ``overlay`` is (H, W, 3), BGR.
-        ``calibration`` says how far the arm's base is known.
+        ok that its tracker does not know. ``silent`` are topics that have stopped; ``image`` is (H, W, 3), BGR, if an
+        overlay is drawn over it. ``calibration`` says how far the arm's base is known.
         """
         status = "doubtful" if doubts and result.status == "ok" else result.status
         values = {
@@ -102,8 +96,8 @@ class Outputs:
             values["calibration"] = calibration
         level = max(_LEVELS.get(status, 2), 1 if silent else 0)
         messages = [*self._found(time, result, status), self._status_message(time, level, status, values)]
-        if overlay is not None:
-            messages.append(self._overlay(time, overlay))
+        if image is not None and self._renderer is not None:
+            messages.append(self._overlay(time, image, replace(result, renderer=self._renderer), calibration))
         sent = [self._send(message) for message in messages]
         return all(sent)
 
@@ -142,9 +136,12 @@ class Outputs:
         }
         return RosMessage("/diagnostics", _DIAGNOSTICS, time, {"header": header(time), "status": [status]})
 
-    def _overlay(self, time: int, overlay: NDArray[np.uint8]) -> RosMessage:
-        """Return the message of an overlay, a JPEG."""
-        _, data = cv2.imencode(".jpg", overlay, (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY))
+    def _overlay(self, time: int, image: NDArray[np.uint8], result: TrackResult, state: str) -> RosMessage:
+        """Return the message of an image with the outline of a silhouette, the status and ``state``, a JPEG."""
+        canvas = Canvas(result.overlay(image), 1.0)
+        for line, text in enumerate((": ".join([result.status, *result.reasons[:1]]), state)):
+            canvas.text(text, (8.0, 14.0 + 16.0 * line), rim=True)
+        _, data = cv2.imencode(".jpg", canvas.image, (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY))
         fields = {
             "header": header(time, self._names.camera),
             "format": "jpeg",

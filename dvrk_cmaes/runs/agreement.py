@@ -6,7 +6,7 @@ frames.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -119,18 +119,13 @@ def compare_bases(out: Path, results: Mapping[str, Result], limit_deg: float) ->
     far = base_doubts(results, limit_deg)
     compared = {}
     for name, result in results.items():
-        compared[name] = now = by_itself(result, [far[name]] if name in far else ())
-        if now is not result:
-            update_result(out, name, status=now.status, reasons=list(now.reasons))
+        own = [reason for reason in result.reasons if not reason.startswith(BASE_APART)]
+        found = (*own, *([far[name]] if name in far else ()))
+        if found != result.reasons:
+            result = replace(result, reasons=found, status="doubtful" if found else "ok")
+            update_result(out, name, status=result.status, reasons=list(found))
+        compared[name] = result
     return compared
-
-
-def by_itself(result: Result, further: Sequence[str] = ()) -> Result:
-    """Return a result without the reasons that come from a comparison of all frames, and with others of these."""
-    reasons = (*(reason for reason in result.reasons if not reason.startswith(BASE_APART)), *further)
-    if reasons == result.reasons:
-        return result
-    return replace(result, reasons=reasons, status="doubtful" if reasons else "ok")
 
 
 def base_doubts(results: Mapping[str, Result], limit_deg: float) -> dict[str, str]:

@@ -16,7 +16,7 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.live_session import give_back_memory
 from dvrk_cmaes.runs.pool import Pool, packed, unpacked
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
+from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, Solution
 
 R = TypeVar("R")
 T = TypeVar("T")
@@ -63,24 +63,24 @@ class SolverProcess(ExitStack):
         self._last = future = self._asking.submit(self._solved, problem)
         return future
 
-    def prepare(self, tasks: Sequence[KeyframeTask]) -> None:
+    def prepare(self, tasks: Sequence[KeyframeProblem]) -> None:
         """Estimate the next keyframe by itself, while there is nothing else to do; returns at once.
 
         ``tasks`` are all that no solution has estimated yet, in the order in which they are wanted. Others are
         forgotten.
         """
         if self._last.done():
-            wanted = self._wanted | {task.keyframe.name for task in tasks}
-            self._alone = {name: result for name, result in self._alone.items() if name in wanted}
-            task = next((task for task in tasks if task.keyframe.name not in self._alone), None)
-            if task is not None:
-                self._last = self._asking.submit(self._estimated, task)
+            by_name = {task.keyframes[0].name: task for task in tasks}
+            self._alone = {name: found for name, found in self._alone.items() if name in self._wanted | by_name.keys()}
+            name = next((name for name in by_name if name not in self._alone), None)
+            if name is not None:
+                self._last = self._asking.submit(self._estimated, name, by_name[name])
 
-    def _estimated(self, task: KeyframeTask) -> None:
+    def _estimated(self, name: str, task: KeyframeProblem) -> None:
         """Estimate a keyframe; where that fails, it is tried again, and raised, with a problem."""
-        self._alone[task.keyframe.name] = None
+        self._alone[name] = None
         with suppress(Exception):
-            self._alone[task.keyframe.name] = self._called(_estimate, task)
+            self._alone |= self._called(_estimate, task)
 
     def _solved(self, problem: KeyframeProblem) -> Solution:
         """Solve a problem with what was found of its keyframes by themselves, so that none is estimated twice."""
@@ -115,7 +115,7 @@ def _prepare(body: bytes, background: bool) -> None:
     unpacked(body)
 
 
-def _estimate(body: bytes, task: KeyframeTask, threads: int) -> Result:
+def _estimate(body: bytes, task: KeyframeProblem, threads: int) -> dict[str, Result]:
     """Estimate a keyframe by itself."""
     return task.estimate(unpacked(body), threads)
 

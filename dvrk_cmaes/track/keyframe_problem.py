@@ -76,37 +76,6 @@ class Keyframe:
 
 
 @dataclass(frozen=True, eq=False)
-class KeyframeTask:
-    """A keyframe that is to be estimated by itself, in this or in another process."""
-
-    keyframe: Keyframe
-    rig: Rig
-    config: EstimateConfig
-
-    def estimate(self, body: Body, threads: int = 1) -> Result:
-        """Estimate the keyframe by itself; the result does not depend on the number of threads.
-
-        Parameters
-        ----------
-        body
-            The instrument.
-        threads
-            Number of threads.
-
-        Raises
-        ------
-        InputError
-            As `dvrk_cmaes.estimate`.
-        """
-        views = self.keyframe.data(self.rig).views
-        masks = {view.name: view.mask for view in views if view.given}
-        ignored = {view.name: view.ignore for view in views if view.ignore is not None}
-        config = replace(self.config, threads=threads)
-        found = estimate(masks, self.rig, self.keyframe.readings, body, ignore=ignored or None, config=config)
-        return Result.from_dict(found.to_dict())  # in the digits that an interrupted run goes on with
-
-
-@dataclass(frozen=True, eq=False)
 class Solution:
     """What keyframes tell together: the calibration, or why there is none.
 
@@ -125,18 +94,44 @@ class Solution:
 
 @dataclass(frozen=True, eq=False)
 class KeyframeProblem:
-    """Keyframes and all that is needed to solve them together, in this or in another process.
+    """Keyframes and all that is needed to solve them by themselves or together, in this or in another process.
 
-    ``alone`` are results of keyframes that were solved by themselves before, by name; ``base`` is as in `Solution`.
+    ``series`` are the readings; None for keyframes that are only estimated by themselves. ``alone`` are results of
+    keyframes that were solved by themselves before, by name; ``base`` is as in `Solution`.
     """
 
     keyframes: tuple[Keyframe, ...]
-    series: ReadingSeries
+    series: ReadingSeries | None
     rig: Rig
     arm: Arm
     config: EstimateConfig
     alone: Mapping[str, Result] = field(default_factory=dict)
     base: int = 0
+
+    def estimate(self, body: Body, threads: int = 1) -> dict[str, Result]:
+        """Estimate the keyframes by themselves, by name; results do not depend on the number of threads.
+
+        Parameters
+        ----------
+        body
+            The instrument.
+        threads
+            Number of threads.
+
+        Raises
+        ------
+        InputError
+            As `dvrk_cmaes.estimate`.
+        """
+        config, alone = replace(self.config, threads=threads), dict(self.alone)
+        for keyframe in self.keyframes:
+            if keyframe.name not in alone:
+                views = keyframe.data(self.rig).views
+                masks = {view.name: view.mask for view in views if view.given}
+                ignored = {view.name: view.ignore for view in views if view.ignore is not None}
+                found = estimate(masks, self.rig, keyframe.readings, body, ignore=ignored or None, config=config)
+                alone[keyframe.name] = Result.from_dict(found.to_dict())  # in the digits of its document
+        return {keyframe.name: alone[keyframe.name] for keyframe in self.keyframes}
 
     def solve(self, body: Body, threads: int = 1) -> Solution:
         """Estimate the keyframes by themselves, and find base, lag and offsets from all of them.
@@ -153,15 +148,11 @@ class KeyframeProblem:
         session, refine = replace(self.config.session, shadows=True), self.config.refine
         refine = replace(refine, outline=replace(refine.outline, lines_per_pixel=LINES_PER_PIXEL))
         config = solved_with(replace(self.config, threads=threads, session=session, refine=refine))
-        alone: dict[str, Result] = {}
-        frames = []
-        for keyframe in self.keyframes:
-            result = self.alone.get(keyframe.name)
-            if result is None:
-                result = KeyframeTask(keyframe, self.rig, self.config).estimate(body, threads)
-            alone[keyframe.name] = result
-            data = keyframe.data(self.rig)
-            frames.append(SessionFrame(keyframe.name, data, result, None, keyframe.time, brief=True))
+        alone = self.estimate(body, threads)
+        frames = [
+            SessionFrame(one.name, one.data(self.rig), alone[one.name], None, one.time, brief=True)
+            for one in self.keyframes
+        ]
         try:
             solved = calibrate_session(frames, body, series=self.series, arm=self.arm, config=config)
         except InputError as error:
@@ -204,8 +195,8 @@ class Solver(Protocol):
     def begin(self, problem: KeyframeProblem) -> Future[Solution]:
         """Begin with a problem, after those before it; returns at once."""
 
-    def prepare(self, tasks: Sequence[KeyframeTask]) -> None:
-        """Estimate keyframes by themselves ahead of a problem that has them, each once; returns at once.
+    def prepare(self, tasks: Sequence[KeyframeProblem]) -> None:
+        """Estimate keyframes, of one task each, by themselves ahead of a problem that has them; returns at once.
 
         The solutions are the same without; they are there sooner.
         """

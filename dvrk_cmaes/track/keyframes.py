@@ -23,7 +23,7 @@ from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.doubts import readings_too_sparse
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.track.follower import Followed, Follower
-from dvrk_cmaes.track.keyframe_problem import Keyframe, KeyframeProblem, KeyframeTask, Solution
+from dvrk_cmaes.track.keyframe_problem import Keyframe, KeyframeProblem, Solution
 from dvrk_cmaes.track.reading_buffer import ReadingAt, ReadingBuffer
 from dvrk_cmaes.track.view_segmenter import Seen
 
@@ -286,13 +286,12 @@ class Keyframes:
         return KeyframeProblem(tuple(keyframes), series, given.rig, given.arm, config, alone, self.base)
 
     @property
-    def unsolved(self) -> list[KeyframeTask]:
+    def unsolved(self) -> list[KeyframeProblem]:
         """The keyframes that no solution has estimated by themselves yet, first those that are solved next."""
         if all(one.name in self._alone for one in self._kept):
             return []
-        given = self._given
-        spread = self._spread(len(self))
-        return [KeyframeTask(one, given.rig, given.config) for one in spread if one.name not in self._alone]
+        given, unsolved = self._given, [one for one in self._spread(len(self)) if one.name not in self._alone]
+        return [KeyframeProblem((one,), None, given.rig, given.arm, given.config) for one in unsolved]
 
     def take(self, solution: Solution) -> SessionCalibration | None:
         """Keep a solution; returns its calibration, if that predicts its frames.

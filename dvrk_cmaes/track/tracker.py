@@ -34,7 +34,7 @@ from dvrk_cmaes.results.tracked import BaseKnown, TrackResult, doubted
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.track.follower import Followed, Follower
-from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
+from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, Solution
 from dvrk_cmaes.track.keyframes import RELIABLE, SOLVED_AT, Keyframes
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer
 from dvrk_cmaes.track.unknown_base import UnknownBase
@@ -217,7 +217,7 @@ class Tracker:
             return self._keyframes.problem()
 
     @property
-    def unsolved_keyframes(self) -> list[KeyframeTask]:
+    def unsolved_keyframes(self) -> list[KeyframeProblem]:
         """The keyframes that no solution has estimated by themselves yet; a solver may do that before one is due."""
         return self._keyframes.unsolved
 

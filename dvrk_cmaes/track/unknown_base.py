@@ -7,11 +7,10 @@ images tells the base.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 
@@ -149,8 +148,10 @@ class UnknownBase:
         kept, given = replace(image, seen=deepcopy(image.seen)), self.given
         if self.background:
             given = replace(given, config=replace(given.config, threads=1))
-        search = partial(_solved, kept, given, calibration, first=self._last is None)
-        self._found, self._images = _called(search, background=self.background), [kept]
+        executor = ThreadPoolExecutor(1)
+        self._found = executor.submit(_solved, kept, given, calibration, first=self._last is None)
+        self._images = [kept]
+        executor.shutdown(wait=not self.background)  # the thread ends with the search, and the program after it
 
     def _after_search(self, image: _Image) -> list[_Image]:
         """Return the images that are followed in this step: those since a searched one in which a pose was found.
@@ -201,18 +202,6 @@ class UnknownBase:
         read = reading.by_name(names)
         offsets = {name: result.joints[name] - read[name] for name in names if name in read}
         return replace(result, camera_from_base=None, offsets=offsets)
-
-
-def _called(function: Callable[[], Result | None], *, background: bool) -> Future[Result | None]:
-    """Call a function, in a thread if that is to be done in the background; returns its future value."""
-    if background:
-        executor = ThreadPoolExecutor(1)
-        future = executor.submit(function)
-        executor.shutdown(wait=False)  # the thread ends with the function, and the program after it
-        return future
-    future = Future()
-    future.set_result(function())
-    return future
 
 
 def _solved(

@@ -16,7 +16,6 @@ from dvrk_cmaes import DvrkCmaesError, EstimateConfig, KeyframeProblem, Rig, Sol
 from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.live.follow import ArmSetup, FollowedArm
-from dvrk_cmaes.track.keyframe_problem import KeyframeTask
 
 CONFIG = EstimateConfig(trust=TrustConfig(tip_mm=3.0))  # small images tell less about the depth
 
@@ -34,8 +33,8 @@ class FakeSolver:
         self.futures.append(Future())
         return self.futures[-1]
 
-    def prepare(self, tasks: Sequence[KeyframeTask]) -> None:
-        self.wanted = [task.keyframe.name for task in tasks]
+    def prepare(self, tasks: Sequence[KeyframeProblem]) -> None:
+        self.wanted = [task.keyframes[0].name for task in tasks]
 
 
 @dataclass

@@ -13,7 +13,6 @@ from helpers.waiting import wait_for
 
 from dvrk_cmaes import Camera, EstimateConfig, Keyframe, KeyframeProblem, ReadingSeries, Rig, Solution, prepare
 from dvrk_cmaes.runs.solver_process import SolverProcess
-from dvrk_cmaes.track.keyframe_problem import KeyframeTask
 
 
 def started_since(before: set[int]) -> list[psutil.Process]:
@@ -60,8 +59,9 @@ class FakeProcess:
 
     def _answer(self, function: Callable[..., Any], given: Any) -> Any:
         if function.__name__ == "_estimate":
-            self.estimated.append(given.keyframe.name)
-            return f"result of {given.keyframe.name}"
+            (keyframe,) = given.keyframes
+            self.estimated.append(keyframe.name)
+            return {keyframe.name: f"result of {keyframe.name}"}
         self.problems.append(dict(given.alone))
         return Solution(None, "", len(given.keyframes), {one.name: f"solved {one.name}" for one in given.keyframes})
 
@@ -69,12 +69,12 @@ class FakeProcess:
 
 
 RIG, CONFIG = Rig.of(Camera(160, 120, 200.0, 200.0, 80.0, 60.0)), EstimateConfig()
-TASKS = [KeyframeTask(Keyframe(0.1 * k, {}, {}, {}, {}), RIG, CONFIG) for k in range(40)]
-NAMES = [task.keyframe.name for task in TASKS]
+TASKS = [KeyframeProblem((Keyframe(0.1 * k, {}, {}, {}, {}),), None, RIG, "classic", CONFIG) for k in range(40)]
+NAMES = [task.keyframes[0].name for task in TASKS]
 
 
 def problem(*numbers: int) -> KeyframeProblem:
-    keyframes = tuple(TASKS[k].keyframe for k in numbers)
+    keyframes = tuple(TASKS[k].keyframes[0] for k in numbers)
     return KeyframeProblem(keyframes, ReadingSeries("s", {}, {}, {}, 0.1), RIG, "classic", CONFIG)
 
 
@@ -86,7 +86,7 @@ def solver() -> Iterator[tuple[SolverProcess, FakeProcess]]:
         yield made, process
 
 
-def prepared(solver: SolverProcess, tasks: list[KeyframeTask]) -> None:
+def prepared(solver: SolverProcess, tasks: list[KeyframeProblem]) -> None:
     """Ask for keyframes until nothing more is done for them."""
     for _ in range(len(tasks) + 1):
         wait_for(lambda: solver._last.done())
@@ -94,7 +94,7 @@ def prepared(solver: SolverProcess, tasks: list[KeyframeTask]) -> None:
     wait_for(lambda: solver._last.done())
 
 
-def kept_busy(solver: SolverProcess, process: FakeProcess, tasks: list[KeyframeTask]) -> Future[Any]:
+def kept_busy(solver: SolverProcess, process: FakeProcess, tasks: list[KeyframeProblem]) -> Future[Any]:
     """Let the process be at the first of some keyframes until the future that is returned has its answer."""
     process.busy = True
     solver.prepare(tasks)
@@ -124,7 +124,7 @@ def test_problem_does_not_wait_for_more_than_one_keyframe_that_is_estimated_ahea
         made.prepare(TASKS[:4])
     found = made.begin(problem(2))
     process.busy = False
-    answer.set_result("result")
+    answer.set_result({NAMES[0]: "result"})
     assert found.result(10).keyframes == 1
     prepared(made, TASKS[:4])
     assert process.problems == [{}]
@@ -139,7 +139,7 @@ def test_keyframes_that_others_replace_are_not_estimated_and_forgotten(
     for k in range(1, 30):  # of three that are kept, the oldest one is replaced
         made.prepare(TASKS[k : k + 3])
     process.busy = False
-    answer.set_result("result")
+    answer.set_result({NAMES[0]: "result"})
     prepared(made, TASKS[29:32])
     assert process.estimated == [NAMES[0], *NAMES[29:32]]
     assert set(made._alone) == set(NAMES[29:32])
