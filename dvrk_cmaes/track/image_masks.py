@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.geometry import Bool, Float32, Image
 from dvrk_cmaes.segment import around
@@ -29,6 +30,7 @@ _LEAST_PIXELS = 200  # on each side of an outline, from which its colours are le
 _COLOURS_WEIGHT = 0.6  # of the log-odds of a pixel's colour: neighbours are alike
 _LEAST_ODDS = 0.2  # log-odds by colour, from which on a pixel has the instrument's colours
 _NOWHERE = 0.8  # share of the silhouette without these, from which on it shows nothing of the instrument
+_MARGIN = 12  # px about the pixels that may be instrument, whose log-odds by colour are computed
 _NOISE = 1.0  # px, standard deviation of the Gaussian that smooths these log-odds
 SPREAD_OF_FIT: Final = 2.0
 """Standard deviation, px, of the outline of a pose that is fitted to an image."""
@@ -104,10 +106,14 @@ def learned_colours(image: Image, silhouette: Bool, ignore: Bool | None) -> Colo
 
     ``image`` is (H, W, 3) uint8 BGR, ``silhouette`` and ``ignore`` are (H, W).
     """
-    if not silhouette.any() or silhouette.all():
+    if not silhouette.any():
         return None
-    distance, bins = signed_distance(silhouette), bins_of(image)
-    counts = np.ones_like(silhouette) if ignore is None else ~ignore
+    left, top, columns, rows = window_around(silhouette, round(_AROUND) + 1)
+    part = np.s_[top : top + rows, left : left + columns]
+    if silhouette[part].all():
+        return None
+    distance, bins = signed_distance(silhouette[part]), bins_of(image[part])
+    counts = np.ones(distance.shape, np.bool_) if ignore is None else ~ignore[part]
     inside, outside = (counts & (side > _BLURRED) & (side < _AROUND) for side in (-distance, distance))
     if min(int(inside.sum()), int(outside.sum())) < _LEAST_PIXELS:
         return None
@@ -155,17 +161,22 @@ def mask_around(
         None where the silhouette is empty or full, no pixel is taken for the instrument, or nearly the whole
         silhouette is without its colours.
     """
+    if not silhouette.any():
+        return None
     height, width = silhouette.shape
     size, scale = size_within(silhouette.shape, longest)
-    small = shrunk(image, longest)
+    small, expected, free = shrunk(image, longest), resized(silhouette, size), around.FREE + spread * scale
+    left, top, columns, rows = window_around(expected, round(free + around.REACH) + _MARGIN)
+    part, odds = np.s_[top : top + rows, left : left + columns], np.zeros(expected.shape, np.float32)
+    odds[part] = _by_colours(small[part], colours)
     prompts = no_prompts(small.shape)
     if outside is not None:
         prompts = prompts.with_outside(resized(outside, size))
     found = around.mask_around(
         small,
-        resized(silhouette, size),
-        around.FREE + spread * scale,
-        colours=_by_colours(small, colours),
+        expected,
+        free,
+        colours=odds,
         local=False,
         prompts=prompts,
         passes=passes,
