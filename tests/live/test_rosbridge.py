@@ -102,14 +102,8 @@ def live(monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
     inputs = Inputs(TOPICS, lines.append, longest_silence=0.5)
     inputs.subscribe(connection)
     outputs = Outputs(connection, FrameNames())
-    arm = LiveArm(
-        "PSM1",
-        lambda rig: tracker,
-        outputs,
-        lines.append,
-        inputs.now,
-        draw=lambda rig: lambda image, result, state: image,
-    )
+    arm = LiveArm("PSM1", lambda rig: tracker, outputs, lines.append, inputs.now)
+    arm.draws = True  # images are decoded in colours
     loop = LiveLoop([arm], inputs, lines.append, rig=Rig.of_camera(Camera(WIDTH, HEIGHT, 80.0, 80.0, 31.5, 22.0)))
     lines.clear()
     assert connection.open(60)
