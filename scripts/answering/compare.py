@@ -75,12 +75,12 @@ class Answer:
         if "camera_from_root" not in document and "camera_from_base" not in document:
             return None
         pose = document.get("camera_from_root", document.get("camera_from_base"))
-        alternatives, left_out = document.get("alternatives") or [], document.get("left_out") or []
+        alternatives, left_out = document.get("alternatives") or [], document.get("left_out") or {}
         verdict = {
             "status": document["status"],
             "reasons": [_NUMBER.sub("#", text) for text in document.get("reasons", [])],
             "modes": [one.get("relation") for one in alternatives],
-            "left out": [one.get("frame") for one in left_out],
+            "left out": sorted(left_out),
         }
         values = document.get("joints" if "camera_from_root" in document else "offsets") or {}
         axes, covariance = _uncertainty(document)
