@@ -9,9 +9,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.overlay import draw_failed
 from dvrk_cmaes.draw.view_overlays import draw_views
@@ -132,12 +129,6 @@ def estimate_frame(files: FrameFiles, data: FrameData, body: Body, method: Frame
     )
 
 
-def draw_failed_frame(result: Result, files: FrameFiles) -> NDArray[np.uint8] | None:
-    """Draw a frame without a pose: its image or else its mask, (H, W, 3) BGR; None if neither can be read."""
-    pictures = (readable(partial(read_image, path)) for path in (files.image, files.mask) if path is not None)
-    return next((draw_failed(result, picture) for picture in pictures if picture is not None), None)
-
-
 def estimated(arm: ArmInSession, files: FrameFiles) -> FrameOutcome:
     """Read and estimate one frame of an arm, whose result has failed where that is not possible; never raises."""
     try:
@@ -182,8 +173,9 @@ def failed_outcome(arm: ArmInSession, files: FrameFiles, reason: str) -> FrameOu
         seed=config.seed,
         config={**config.as_dict(), "instrument": instrument.describe_limits(arm.method.arm)},
     )
-    drawing = draw_failed_frame(result, files)
-    return FrameOutcome(result, None if drawing is None else encoded_image("overlay.jpg", drawing))
+    pictures = (readable(partial(read_image, path)) for path in (files.image, files.mask) if path is not None)
+    picture = next((picture for picture in pictures if picture is not None), None)
+    return FrameOutcome(result, None if picture is None else encoded_image("overlay.jpg", draw_failed(result, picture)))
 
 
 def hints_of(files: FrameFiles) -> Hints | None:

@@ -8,8 +8,7 @@ found around what is expected of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
@@ -145,29 +144,25 @@ def _begin_chosen(
     problem = replace(work, series=recorded.series, gathered={})
     frames = _estimated(recorded, keyframes, problem)
     problem = replace(problem, config=solved_with(work.config), gathered={})
-    begun: Begun[SolvedSession | str]
-    with _texts_of_refusals() as refused:
-        begun = begin_arm(frames, problem).then(lambda found: bad_predictions(found[0].calibration) or found[0])
-    return Begun.of(refused[0]) if refused else Begun(partial(_finished_or_refused, begun), begun.arm)
-
-
-def _finished_or_refused(begun: Begun[SolvedSession | str], outcome: Outcome | None) -> SolvedSession | str:
-    """Finish keyframes that are solved by themselves; a text says why that is not possible."""
-    with _texts_of_refusals() as refused:
-        return begun.finish(outcome)
-    return refused[0]
-
-
-@contextmanager
-def _texts_of_refusals() -> Iterator[list[str]]:
-    """Keep why a session cannot be solved in the list; an error of a file that is missing or damaged is raised."""
-    texts: list[str] = []
     try:
-        yield texts
+        begun = begin_arm(frames, problem).then(lambda found: bad_predictions(found[0].calibration) or found[0])
     except InputError as error:
-        if not str(error).startswith(_REFUSED):
-            raise
-        texts.append(str(error).removeprefix(_REFUSED))
+        return Begun.of(_refusal(error))
+
+    def finished(outcome: Outcome | None) -> SolvedSession | str:
+        try:
+            return begun.finish(outcome)
+        except InputError as error:
+            return _refusal(error)
+
+    return Begun(finished, begun.arm)
+
+
+def _refusal(error: InputError) -> str:
+    """Return why a session cannot be solved; an error of a file that is missing or damaged is raised."""
+    if not str(error).startswith(_REFUSED):
+        raise error
+    return str(error).removeprefix(_REFUSED)
 
 
 def _estimated(

@@ -122,7 +122,7 @@ class Pool(Workers):
     count
         Number of processes, each of which is started when there is a task for it.
     here
-        Whether this process does tasks as well as the others, with one thread in its libraries.
+        Whether this process does tasks as well as the others, with one thread in its libraries from then on.
 
     Its ``report`` is called with the number of tasks of `values` that are done and of all. Once its ``stop`` is set,
     `values` finishes the running ones and raises `StoppedError`.
@@ -246,41 +246,41 @@ def run(
     running: dict[Future[Any], T] = {}
     alone: deque[T] = deque()  # those that were in flight when a process died
     here = isinstance(workers, Pool) and workers.here
-    with single_library_threads() if here else contextlib.nullcontext():
-        try:
-            if isinstance(workers, Pool) and workers.here:
-                workers.start()
-            while True:
-                while not stop.is_set() and (not running if alone else len(running) < workers.at_once()):
-                    task = alone[0] if alone else next(source, None)
-                    if task is None:
-                        break
-                    running[workers.submit(*limit, call, task)] = task
-                own = next(source, None) if here and not alone and not stop.is_set() else None
-                if own is not None:
-                    yield own, call(own)
-                elif not running:
-                    return
-                ended = wait_for(running, None if own is None else 0, FIRST_COMPLETED).done
-                if any(map(_has_died, ended)):
-                    ended = wait_for(running).done
-                died = [running.pop(future) for future in ended if _has_died(future)]
-                for future in ended:
-                    if future in running:
-                        if alone:
-                            alone.popleft()
-                        yield running.pop(future), workers.value(future)
-                if died:
-                    workers.renew()
+    try:
+        if isinstance(workers, Pool) and workers.here:
+            limit_library_threads()
+            workers.start()
+        while True:
+            while not stop.is_set() and (not running if alone else len(running) < workers.at_once()):
+                task = alone[0] if alone else next(source, None)
+                if task is None:
+                    break
+                running[workers.submit(*limit, call, task)] = task
+            own = next(source, None) if here and not alone and not stop.is_set() else None
+            if own is not None:
+                yield own, call(own)
+            elif not running:
+                return
+            ended = wait_for(running, None if own is None else 0, FIRST_COMPLETED).done
+            if any(map(_has_died, ended)):
+                ended = wait_for(running).done
+            died = [running.pop(future) for future in ended if _has_died(future)]
+            for future in ended:
+                if future in running:
                     if alone:
-                        yield alone.popleft(), WorkerDied(_DIED)
-                    else:
-                        alone.extend(died)
-        finally:
-            if running:
-                workers.kill()
-            for future in running:
-                future.cancel()
+                        alone.popleft()
+                    yield running.pop(future), workers.value(future)
+            if died:
+                workers.renew()
+                if alone:
+                    yield alone.popleft(), WorkerDied(_DIED)
+                else:
+                    alone.extend(died)
+    finally:
+        if running:
+            workers.kill()
+        for future in running:
+            future.cancel()
 
 
 def _has_died(future: Future[Any]) -> bool:
@@ -334,8 +334,8 @@ def _interrupts_blocked() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _prepared() -> None:
-    """Prepare a process, which ends when the one that started it does."""
+def _begin(packed: str) -> None:
+    """Prepare a worker process, which ends when the one that started it does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
@@ -343,11 +343,6 @@ def _prepared() -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_exit_after, args=(parent,), daemon=True).start()
-
-
-def _begin(packed: str) -> None:
-    """Prepare a worker process."""
-    _prepared()
     try:
         with open(packed, "rb") as file:
             start: Callable[[], object] = pickle.load(file)
@@ -391,18 +386,6 @@ def limit_library_threads() -> threadpool_limits:
     """Limit OpenCV and the BLAS libraries of this process to one thread each; the cores are used by processes."""
     cv2.setNumThreads(1)
     return threadpool_limits(1)
-
-
-@contextlib.contextmanager
-def single_library_threads() -> Iterator[None]:
-    """Limit OpenCV and the BLAS libraries of this process to one thread each meanwhile."""
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        with threadpool_limits(1):
-            yield
-    finally:
-        cv2.setNumThreads(before)
 
 
 def pool_of(body: Body, workers: int, frames: Sized | None = None) -> Pool:

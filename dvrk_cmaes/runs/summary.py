@@ -15,8 +15,7 @@ from dvrk_cmaes.pose.doubts import reasons, rig_turned
 from dvrk_cmaes.results.result import Result, Status
 
 SCHEMA: Final = 1
-_OF_QUALITY: Final = ("iou", "contour_px_median", "contour_px_95", "steady_share")
-_OF_RESULTS: Final = ("mode_probability", "std_translation_mm", "std_rotation_deg")
+_OF_QUALITY: Final = ("iou", "contour_px_median", "contour_px_95")
 _DIGITS: Final = 6
 
 
@@ -70,36 +69,21 @@ def summarize(
         "missing": missing,
         "lag": None if calibration is None else calibration.get("lag"),
         "commanded": commanded_in([result.readings for result in values], _joints(values)),
-        "timing": {"frame_seconds": _seconds(values), "run": timing},
+        "timing": {"run": timing},
         "config": manifest["config"],
         **({"rig_doubts": rig_doubts(values)} if any(result.view_fits for result in values) else {}),
     }
 
 
 def _medians(results: Sequence[Result]) -> dict[str, Any]:
-    """Compute medians over the frames that have a pose.
-
-    Medians of joints are by name, in degrees; ``found_less_read_deg`` is that of estimate minus reading, over the
-    frames with a reading.
-    """
+    """Compute medians over the frames that have a pose."""
     quality = [result.quality for result in results if result.quality is not None]
-    joints = _joints(results)
-    changes = {
-        name: [np.degrees(r.joints[name] - r.readings[name]) for r in results if {name} <= {*r.joints} & {*r.readings}]
-        for name in joints
-    }
-    stds = {
-        name: [std[name] for r in results if (std := r.std_joints_deg) is not None and name in std] for name in joints
-    }
-    errors = [result.expected_error for result in results if result.expected_error is not None]
-    own = {name: [getattr(r, name) for r in results] for name in _OF_RESULTS}
+    errors = [result.expected_error.tip_90_mm for result in results if result.expected_error is not None]
+    modes = [result.mode_probability for result in results if result.mode_probability is not None]
     return {
-        **{name: _median([getattr(q, name) for q in quality]) for name in _OF_QUALITY},
-        "tips_90_mm": _median([error.tip_90_mm for error in errors]),
-        "std_shaft_deg": _median([error.shaft_deg for error in errors]),
-        **{name: _median([value for value in values if value is not None]) for name, values in own.items()},
-        "std_joints_deg": {name: _median(values) for name, values in stds.items()},
-        "found_less_read_deg": {name: _median(values) for name, values in changes.items()},
+        **{name: _median([getattr(one, name) for one in quality]) for name in _OF_QUALITY},
+        "tips_90_mm": _median(errors),
+        "mode_probability": _median(modes),
     }
 
 
@@ -111,19 +95,6 @@ def _joints(results: Sequence[Result]) -> list[str]:
 def _median(values: Sequence[Any]) -> Any:
     """Return the median over the first axis, rounded; None if there are no values."""
     return np.round(np.median(values, axis=0), _DIGITS).tolist() if len(values) else None
-
-
-def _seconds(results: Sequence[Result]) -> dict[str, float] | None:
-    """Return statistics of the seconds per frame, without failed frames; None if there are no others."""
-    seconds = [result.seconds for result in results if result.status != "failed"]
-    if not seconds:
-        return None
-    return {
-        "median": round(float(np.median(seconds)), 4),
-        "percentile_95": round(float(np.percentile(seconds, 95)), 4),
-        "slowest": max(seconds),
-        "total": round(sum(seconds), 4),
-    }
 
 
 def rig_doubts(results: Iterable[Result]) -> list[str]:

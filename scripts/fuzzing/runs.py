@@ -166,7 +166,7 @@ def stubbed(material: Path) -> Iterator[None]:
         yield
 
 
-_TIMES: Final = ("seconds", "timing", "run", "frame_seconds")
+_TIMES: Final = ("seconds", "timing", "run")
 _READERS: Final[dict[str, Callable[[Path], Any]]] = {
     ".json": lambda path: json.loads(path.read_text()),
     ".jpg": read_image,
