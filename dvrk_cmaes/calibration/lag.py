@@ -420,7 +420,7 @@ class SessionLag:
                 "it may lie beyond (take a first guess out by import --lag, or subtract it from image times)"
             )
             return replace(found, undetermined=text, nowhere=True), None
-        if not ends and best in (0, len(lags) - 1):
+        if not ends and best in np.flatnonzero(np.isfinite(costs))[[0, -1]]:
             text = f"the frames agree best at the end of the range that was searched; {MOVE}"
             return replace(found, undetermined=text), None
         return found, float(lags[best])

@@ -309,3 +309,18 @@ def test_same_input_gives_the_same_tracks(kept: Kept, tmp_path: Path) -> None:
     for frame, row in tracks(tmp_path / "again").items():
         del row["seconds"], first[frame]["seconds"]
         assert row == first[frame]
+
+
+def test_lag_at_the_end_of_those_at_which_frames_have_readings_is_not_taken_out(kept: Kept, tmp_path: Path) -> None:
+    recording, session = synth(kept, *ONE), tmp_path / "session"
+    session.mkdir()
+    shutil.copy(recording / "camera.yaml", session)
+    shutil.copytree(recording / "masks", session / "masks", ignore=lambda folder, names: sorted(names)[9:])
+    head, *rows = (recording / "joints.csv").read_text().splitlines()
+    cells = [row.split(",") for row in rows]
+    late = [[*now[:2], *later[2:]] for now, later in zip(cells[:9], cells[5:], strict=False)]  # by 2 + 5 frames
+    (session / "joints.csv").write_text("\n".join([head, *map(",".join, late)]) + "\n")
+    run("calibrate", session, "--out", tmp_path / "out", "--workers", 1)
+    document = json.loads((tmp_path / "out" / "session.json").read_text())
+    assert document["lag"] is None
+    assert any("end of the range" in text for text in document["undetermined"])
