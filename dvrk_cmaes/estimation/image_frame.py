@@ -20,7 +20,6 @@ from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.segment import Segmentation, segment
 from dvrk_cmaes.segment.around import segmentation_around
-from dvrk_cmaes.segment.background import foreground_log_odds
 from dvrk_cmaes.segment.prompts import draw_prompts
 from dvrk_cmaes.segment.segmentation import GUESS, Hints, SegmentSettings
 from dvrk_cmaes.segment.shaft_pairs import prompts_in
@@ -141,9 +140,7 @@ def _find_mask(
     view = replace(view, mask=found.mask, given=True)
     if not view.shows:
         raise DvrkCmaesError("no instrument found in the image; a mask, a box or a point on the instrument would help")
-    result, odds = None, None
-    if found.before == "learned background":
-        odds = foreground_log_odds(image, settings.backgrounds[view.name])
+    result, odds = None, found.odds
     counts, prompts = np.True_ if view.ignore is None else ~view.ignore, draw_prompts(image, hints)
     for _ in range(_ITERATIONS if settings.model == "classic" and found.before != "smooth background" else 0):
         result = solve([replace(view, view_from_camera=np.eye(4), keypoints=None)])

@@ -176,10 +176,11 @@ def with_classic(
     else:
         region = Segmentation(differing_region(odds))
         found = segment_by_model(image, body, camera, joints, prompts, lambda: region, before, odds)
+    found = replace(found, before="learned background", odds=odds)
     if found.confidence >= GUESS:
-        return replace(found, before="learned background")
+        return found
     other = without_background()
     if differing_share(other.mask, odds) < _DIFFERS:
         notes = (*other.notes, "it looks like the background that the other images show")
         other = replace(other, confidence=min(other.confidence, _SAME), notes=notes)
-    return other if other.confidence >= GUESS or not found.mask.any() else replace(found, before="learned background")
+    return other if other.confidence >= GUESS or not found.mask.any() else found

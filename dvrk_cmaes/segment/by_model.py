@@ -118,7 +118,7 @@ def find_instruments(
     if instrument.shaft is None:
         return []
     (fine, _), (size, _) = (size_within(image.shape, longest) for longest in (_LINES, REDUCED))
-    lines = shrunk(image, _LINES).max(axis=2)
+    lines = np.max(cv2.split(shrunk(image, _LINES)), axis=0)
     seen = outside if foreground is None else outside | ~resized(_near_foreground(foreground), outside.shape[1::-1])
     radius, most = instrument.shaft.radius, _MOST_PAIRS if prompts.given else _PAIRS
     pairs = find_pairs(lines, camera.scaled(*fine), radius, resized(seen, fine), most)
@@ -154,14 +154,14 @@ def find_instruments(
     tried, scored = tried[best], scored[best]
     renderer = Renderer(meshes[1], coarse, threads=1)
     every = turns(_ROLLS, _BENDS)
-    best = np.argsort(-scored, kind="stable")[:_GROUPED].tolist()
+    best = _ordered(scored)[:_GROUPED]
     tried, scored = tried[best], scored[best]
     masks, apart = renderer.masks(tried.pose, tried.joints), _Apart(tried, coarse, 5.0)
     begin = []
     for group in _grouped(masks, scored, _GROUPS, _TURNED // len(every.pose), apart):
         at, own = turned(tried[group], every)
         varied, own = _best_of_each(appearance, [_varied(at[[k]]) for k in _starts(at, own, len(every), coarse)])
-        begin.append(varied[np.argsort(-own, kind="stable")[:_BEGUN].tolist()])
+        begin.append(varied[_ordered(own)[:_BEGUN]])
     if not begin:
         return []
     at = _joined(begin)
@@ -308,14 +308,23 @@ def _with_few_faces(body: Body, faces: int) -> Body:
     return found
 
 
-def _share(first: Bool, second: Bool) -> bool:
-    """Whether two silhouettes (h, w) share more pixels than those of two instruments may."""
-    return int((first & second).sum()) > _SHARED * min(int(first.sum()), int(second.sum()))
-
-
 def _are_unlike(masks: Bool, first: int, second: int) -> bool:
     """Whether two of some silhouettes (N, h, w) differ clearly."""
     return overlap_of(masks[first], masks[second]) <= _ALIKE
+
+
+def _chosen(order: Sequence[int], most: int, apart: Callable[[int, int], bool]) -> list[int]:
+    """Return at most some of the numbers, in their order, each of which is ``apart`` from those before."""
+    chosen: list[int] = []
+    for k in order:
+        if len(chosen) < most and all(apart(k, j) for j in chosen):
+            chosen.append(k)
+    return chosen
+
+
+def _ordered(scores: Float64) -> list[int]:
+    """Return the places of scores, the largest first."""
+    return [int(k) for k in np.argsort(-scores, kind="stable")]
 
 
 def _grouped(
@@ -325,13 +334,16 @@ def _grouped(
 
     ``masks`` (N, h, w) are their silhouettes. Of poses of a group that are not ``apart`` only the best one is kept.
     """
-    groups: list[list[int]] = []
-    for k in np.argsort(-scores, kind="stable").tolist():
-        own = next((group for group in groups if _share(masks[k], masks[group[0]])), None)
-        if own is None and len(groups) < most and masks[k].any():
-            groups.append([k])
-        elif own is not None and len(own) < members and all(apart(k, j) for j in own):
-            own.append(k)
+
+    def share(k: int, j: int) -> bool:
+        both, least = int((masks[k] & masks[j]).sum()), min(int(masks[k].sum()), int(masks[j].sum()))
+        return both > _SHARED * least
+
+    left, groups = [k for k in _ordered(scores) if masks[k].any()], []
+    for _ in range(most):
+        own = [k for k in left if share(k, left[0])]
+        left = [k for k in left if k not in own]
+        groups += [_chosen(own, members, apart)] if own else []
     return groups
 
 
@@ -340,31 +352,22 @@ def _along(pairs: list[Pair], camera: Camera) -> list[Float64]:
     poses = []
     focal = float(np.sqrt(camera.fx * camera.fy))
     for pair in pairs:
-        ends = [pair.point + at * pair.direction for at in (pair.begin, pair.end)]
-        shown = [focal * end[:2] / max(end[2], 1e-3) for end in ends]
+        ends = pair.point + np.array([[pair.begin], [pair.end]]) * pair.direction
+        near, far = depths = np.maximum(ends[:, 2], 1e-3)
+        shown = focal * ends[:, :2] / depths[:, None]
         steps = int(np.clip(np.hypot(*(shown[1] - shown[0])) / _STEP, 4, _MOST_STEPS))
-        # equal steps in the image: of the inverse depth
-        share = np.linspace(0, 1, steps)
-        depth = np.maximum([ends[0][2], ends[1][2]], 1e-3)
-        share = share * depth[0] / (share * depth[0] + (1 - share) * depth[1])
-        at = pair.begin + share * (pair.end - pair.begin)
-        for sign in (1.0, -1.0):
-            rotation = frame_along(sign * pair.direction)
-            origins = pair.point + at[:, None] * pair.direction
-            poses.append(transform(np.tile(rotation, (steps, 1, 1)), origins))
+        share = np.linspace(0, 1, steps)[:, None]  # equal steps in the image: of the inverse depth
+        origins = ends[0] + share * near / (share * near + (1 - share) * far) * (ends[1] - ends[0])
+        ways = (frame_along(sign * pair.direction) for sign in (1.0, -1.0))
+        poses += [transform(np.tile(rotation, (steps, 1, 1)), origins) for rotation in ways]
     return poses
 
 
 def _best_along(axes: list[Float64], scores: Float64) -> list[int]:
     """Return the best places along each axis, given the poses along each and the scores of all."""
-    best: list[int] = []
-    for places in np.split(np.arange(len(scores)), np.cumsum([len(poses) for poses in axes])[:-1]):
-        own: list[int] = []
-        for k in places[np.argsort(-scores[places], kind="stable")].tolist():
-            if len(own) < _OF_AXIS and all(abs(k - j) > 1 for j in own):
-                own.append(k)
-        best += own
-    return best
+    parts = np.split(np.arange(len(scores)), np.cumsum([len(poses) for poses in axes])[:-1])
+    orders = (places[_ordered(scores[places])].tolist() for places in parts)
+    return [k for order in orders for k in _chosen(order, _OF_AXIS, lambda k, j: abs(k - j) > 1)]
 
 
 def _rolls(count: int) -> Float64:
@@ -397,14 +400,10 @@ def _turned(places: Float64, turns: Posed) -> Posed:
 
 def _starts(at: Posed, scores: Float64, turns: int, camera: Camera) -> list[int]:
     """Return the best turns of the best places, given places each at all turns: the best one may be wrong."""
-    places, each = _STARTS
     starts: list[int] = []
-    for place in np.argsort(-scores.reshape(-1, turns).max(axis=1), kind="stable")[:places].tolist():
-        own, apart = list[int](), _Apart(at, camera, 8.0)
-        for k in (turns * place + np.argsort(-scores[turns * place : turns * (place + 1)], kind="stable")).tolist():
-            if len(own) < each and all(apart(k, j) for j in own):
-                own.append(k)
-        starts += own
+    for place in _ordered(scores.reshape(-1, turns).max(axis=1))[: _STARTS[0]]:
+        order = [turns * place + k for k in _ordered(scores[turns * place : turns * (place + 1)])]
+        starts += _chosen(order, _STARTS[1], _Apart(at, camera, 8.0))
     return starts
 
 

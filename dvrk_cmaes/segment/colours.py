@@ -39,14 +39,12 @@ class Colours:
     noise : standard deviation of the image's noise, grey levels, at least 1.
     features : (H, W, 3) float32, logarithms of blue / green, of red / green, and of the brightness.
     brightness : (H, W) float32, the largest channel of ``smooth``.
-    saturation : (H, W) float32, difference of the largest and the smallest channel relative to the largest, 0 to 1.
     """
 
     smooth: Float32
     noise: float
     features: Float32
     brightness: Float32
-    saturation: Float32
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -65,12 +63,9 @@ def measure_colours(image: NDArray[np.uint8]) -> Colours:
     noise = max(_noise(image), 1.0)
     smooth = np.asarray(cv2.bilateralFilter(image, 7, 30, 3), np.float32) + 1
     brightness = brightest(smooth)
-    lifted = smooth + 4 * noise  # ratios of values within the noise tend to 1
-    features = np.log(
-        np.stack([lifted[..., 0] / lifted[..., 1], lifted[..., 2] / lifted[..., 1], brightest(lifted)], axis=-1)
-    )
-    saturation = (brightness + brightest(-smooth)) / (brightness + 4 * noise)
-    return Colours(smooth, noise, features, brightness, saturation)
+    blue, green, red = cv2.split(smooth + 4 * noise)  # ratios of values within the noise tend to 1
+    features = np.log(np.stack([blue / green, red / green, brightness + 4 * noise], axis=-1))
+    return Colours(smooth, noise, features, brightness)
 
 
 def brightest(image: Float32) -> Float32:
@@ -93,9 +88,10 @@ def greyness_log_odds(colours: Colours, around_box: Bool | None, tool: Bool) -> 
     tool
         (H, W), pixels known to be instrument; their mean direction is a further ray of the instrument.
     """
-    lit = colours.brightness > 6 * colours.noise
+    lit, lifted = colours.brightness > 6 * colours.noise, 4 * colours.noise
     if around_box is None:
-        background = lit & (colours.saturation > _threshold(colours.saturation[lit]))
+        grey = (lifted - brightest(-colours.smooth)) / (colours.brightness + lifted)  # 1 less the saturation
+        background = lit & (1 - grey > _threshold(1 - grey[lit]))
     else:
         background = around_box & lit if (around_box & lit).any() else around_box
     if not background.any():
@@ -117,7 +113,7 @@ class ColourTable:
         cells = ((colours.features - low) / (high - low + 1e-6) * _BINS).astype(np.int32)
         cells = np.clip(cells, 0, _BINS - 1)
         self._cell = (cells[..., 0] * _BINS[1] + cells[..., 1]) * _BINS[2] + cells[..., 2]
-        self._any = 1 / max(len(np.unique(self._cell)), 1)
+        self._any = 1 / max(int(np.count_nonzero(np.bincount(self._cell.ravel()))), 1)
 
     def log_odds(self, tool: Float32 | Bool, background: Float32 | Bool, *, unseen: float = 0.0) -> Float32:
         """Return the log-odds (H, W) of each pixel's colour in one region against another; each (H, W) bool or weights.
@@ -175,7 +171,7 @@ def _ray_distance(colours: Colours, rays: Float32 | list[Float32], deviation: fl
 
     The variance is that of the noise plus that of colours about a ray, ``deviation`` times the brightness squared.
     """
-    squares = (colours.smooth**2).sum(axis=2)
+    squares = np.einsum("ijk,ijk->ij", colours.smooth, colours.smooth)
     along = np.max([colours.smooth @ ray for ray in rays], axis=0)
     variance = (2 * colours.noise) ** 2 + (deviation * colours.brightness) ** 2
     return np.asarray(np.maximum(squares - along**2, 0) / (2 * variance), np.float32)

@@ -44,16 +44,11 @@ def edge_log_odds(image: NDArray[np.uint8], away: Float32) -> Float32:
     parts = np.stack([blue - red, green - red, green - blue, _BRIGHTNESS * (blue + green + red)], axis=-1) / np.sqrt(3)
     inside, outside = (_local_mean(parts, (side > _BAND[0]) & (side < _BAND[1])) for side in (-away, away))
     between = inside - outside
-    square = _sum(between**2)
-    share = _sum((parts - outside) * between) / np.maximum(square, 1e-3)
+    square = np.einsum("ijk,ijk->ij", between, between)
+    share = np.einsum("ijk,ijk->ij", parts - outside, between) / np.maximum(square, 1e-3)
     weight = square / (square + _TEXTURE**2)
     odds = _STEEPNESS * weight * np.clip(share - 0.5, -0.5, 0.5)
     return np.asarray(np.where(np.abs(away) < _BAND[1], odds, 0), np.float32)
-
-
-def _sum(parts: Float32) -> Float32:
-    """Return the sum (H, W) over the last axis of four (H, W, 4), which NumPy computes ten times more slowly."""
-    return np.asarray(parts[..., 0] + parts[..., 1] + parts[..., 2] + parts[..., 3])
 
 
 def _local_mean(parts: Float32, where: Bool) -> Float32:

@@ -15,7 +15,6 @@ import cv2
 import numpy as np
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.frames.seen_view import overlap_of
 from dvrk_cmaes.geometry import Bool, Float32, Image
@@ -50,8 +49,7 @@ _AGREES: Final = 0.85  # overlap of a mask with the silhouette around which it w
 _UNDECIDED: Final = 0.75  # confidence, at most, of one of several instruments, where readings are of a certain one
 _SHARED: Final = 0.2  # of a mask, that may be in those of instruments that are surer; it is taken from this one
 SAME: Final = 0.7  # overlap with an instrument, from which on a mask is of the same one: then the surer one is taken
-_ELSEWHERE: Final = 0.2  # overlap up to which a mask is not that of an instrument
-_FITS_BOX: Final = 0.3  # least overlap of the bounding box of a silhouette with a given box
+_BEYOND_BOX: Final = 0.5  # share of a silhouette that is outside a given box
 
 
 def _rough_mask(image: Image, shaft: Bool, whole: Bool, width: float, prompts: Prompts) -> tuple[Bool, Float32]:
@@ -110,9 +108,9 @@ def segment_by_model(
         Prompts: the best instrument that fits them is taken.
     rough, otherwise
         Functions that find a mask by other means, at a reduced size, and at full size where that is no guess or no
-        instrument is found. This mask is taken in place of that of a candidate which it shows, too, where it is surer,
-        and where it is elsewhere and that of the best candidate is a guess. It is a guess itself, unless it has some
-        likeness of an instrument. Where it is empty, the best candidate is taken as a guess.
+        instrument is found. This mask is taken in place of that of a candidate which it shows, too, where it is surer.
+        It is a guess itself, unless it has some likeness of an instrument. Where it is empty, the best candidate is
+        taken as a guess.
     foreground
         (h, w), log-odds of instrument by a known background, by which candidates are chosen then and their masks cut;
         ``rough`` is what differs from that.
@@ -167,9 +165,6 @@ def segment_by_model(
     if not masks:
         return by_colours()
     first, *others = sorted(masks, key=lambda each: each.confidence < GUESS)  # else in the order of the search
-    elsewhere = other is not None and all(_overlap(each, other.mask) <= _ELSEWHERE for each in found)
-    if other is not None and elsewhere and first.confidence < GUESS <= other.confidence:
-        return other
     if not others:
         return first
     confidence = min(first.confidence, _UNDECIDED) if joints else first.confidence
@@ -213,20 +208,14 @@ def mask_of_candidate(
 
 
 def _fits(found: Candidate, prompts: Prompts, image: Image) -> bool:
-    """Whether a candidate is where the prompts say: its silhouette has the points, or fills the box."""
+    """Whether a candidate is where the prompts say: its silhouette has the points, and is in the box."""
     height, width = image.shape[:2]
     silhouette = resized(found.silhouette, (width, height))
     near = cv2.dilate(silhouette.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
     if not all(near[round(v), round(u)] for u, v in prompts.points):
         return False
-    if prompts.box is None or not silhouette.any():
-        return True
-    left, top, across, down = window_around(silhouette, 0)
-    box = prompts.box
-    common = max(min(box[2], left + across - 1) - max(box[0], left) + 1, 0.0)
-    common *= max(min(box[3], top + down - 1) - max(box[1], top) + 1, 0.0)
-    both = (box[2] - box[0] + 1) * (box[3] - box[1] + 1) + across * down - common
-    return common > _FITS_BOX * both
+    beyond = silhouette & prompts.background & ~prompts.outside
+    return prompts.box is None or int(beyond.sum()) < _BEYOND_BOX * int(silhouette.sum())
 
 
 def _taken(mask: Bool, others: Sequence[Bool]) -> str:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.keypoints import Hints as Hints
+from dvrk_cmaes.geometry import Float32
 from dvrk_cmaes.io.arguments import described
 
 Pixel = tuple[float, float]
@@ -32,6 +33,7 @@ class Segmentation:
     confidence : 0 to 1; below 0.5, the mask is called a guess.
     notes : messages for the user about the mask.
     before : the background that the instrument was segmented against, if there was one.
+    odds : (h, w), log-odds of instrument by a learned background, of any size.
     others : masks of further instruments in the image, if these were looked for; the surest one first.
     """
 
@@ -39,6 +41,7 @@ class Segmentation:
     confidence: float = 1.0
     notes: tuple[str, ...] = field(default=())
     before: Background | None = None
+    odds: Float32 | None = None
     others: tuple[Segmentation, ...] = ()
 
 
