@@ -29,7 +29,7 @@ from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.synth.masks import MEDIUM, simulate_segmentation
 from dvrk_cmaes.synth.occluders import tissue_over_jaw
 from dvrk_cmaes.synth.poses import arm_session
-from dvrk_cmaes.synth.truth import exact_mask
+from dvrk_cmaes.synth.scene import exact_mask
 
 OUT: Final = Path(__file__).resolve().parents[1] / "data" / "demo"
 CAMERA: Final = Camera(640, 480, fx=1042.6, fy=1042.6, cx=326.3, cy=235.1)
@@ -74,7 +74,7 @@ def main() -> int:
     for k, (name, truth) in enumerate(zip(names, truths, strict=True)):
         occluder = tissue_over_jaw(CAMERA, truth, rng) if k in OCCLUDED else None
         own = np.random.default_rng([arguments.seed, REDRAWN[k]]) if k in REDRAWN else rng
-        made = simulate_segmentation(exact_mask(body, CAMERA, truth), own, MEDIUM, occluder)
+        made = simulate_segmentation(exact_mask(CAMERA, truth), own, MEDIUM, occluder)
         write_image(out / "masks" / f"{name}.png", made.mask)
         image = draw_image(CAMERA, truth, own, holes=made.holes, occluder=occluder)
         write_image(out / "images" / f"{name}.jpg", image)

@@ -23,12 +23,12 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evaluate.pose_error import Tolerance
 from dvrk_cmaes.instrument import Instrument, load_instrument
 from dvrk_cmaes.io.atomic import write_image, write_json
-from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.files import rounded_joints, rounded_truth
 from dvrk_cmaes.synth.levels import Mistakes
 from dvrk_cmaes.synth.masks import MEDIUM, SLIGHT, simulate_segmentation
 from dvrk_cmaes.synth.occluders import dilate_region, tissue_over_jaw
-from dvrk_cmaes.synth.truth import Truth, exact_mask, pose_from_view
+from dvrk_cmaes.synth.scene import exact_mask
+from dvrk_cmaes.synth.truth import Truth, pose_from_view
 
 OUT: Final = Path(__file__).resolve().parents[1] / "data" / "golden"
 SCHEMA: Final = 1
@@ -160,12 +160,10 @@ def truth_of(case: Case, instrument: Instrument) -> Truth:
     return Truth(instrument, pose, joints)
 
 
-def masks_of(
-    case: Case, body: Body, truth: Truth, rng: np.random.Generator
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_] | None]:
+def masks_of(case: Case, truth: Truth, rng: np.random.Generator) -> tuple[NDArray[np.bool_], NDArray[np.bool_] | None]:
     """Return the mask of a case, and the pixels to ignore if tissue covers the tool, (H, W) each."""
     occluder = tissue_over_jaw(case.camera, truth, rng) if case.occluded else None
-    mask = exact_mask(body, case.camera, truth)
+    mask = exact_mask(case.camera, truth)
     if case.mistakes is not None:
         mask = simulate_segmentation(mask, rng, case.mistakes, occluder).mask
     if occluder is None:
@@ -197,12 +195,12 @@ def main() -> int:
     arguments = parser.parse_args()
     refuse_in_ci("make_golden.py")
     out: Path = arguments.out
-    body = Body.prepare(load_instrument("lnd"))
+    instrument = load_instrument("lnd")
     entries = {}
     for number, (name, case) in enumerate(CASES.items()):
         rng = np.random.default_rng([20, number])  # for each case, so that a change of one does not change others
-        truth = truth_of(case, body.instrument)
-        mask, ignore = masks_of(case, body, truth, rng)
+        truth = truth_of(case, instrument)
+        mask, ignore = masks_of(case, truth, rng)
         write_image(out / "masks" / f"{name}.png", mask)
         if ignore is not None:
             write_image(out / "ignore" / f"{name}.png", ignore)

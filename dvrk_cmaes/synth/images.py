@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import Bool, Float32
 from dvrk_cmaes.synth.masks import signed_distance, smooth_noise
-from dvrk_cmaes.synth.scene import NOTHING, Scene, pixel_rays, see
+from dvrk_cmaes.synth.scene import NOTHING, exact_coverage, pixel_rays, scene_of
 from dvrk_cmaes.synth.truth import Truth
 
 # colours are BGR, from 0 to 1
@@ -51,7 +51,7 @@ def draw_image(
     """
     shape = (camera.height, camera.width)
     tissue = draw_tissue(shape, rng)
-    drawn = draw_tool(truth, see(camera, [truth]).coverage[0], pixel_rays(camera))
+    drawn = draw_tool(truth, exact_coverage(camera, truth), pixel_rays(camera))
     tool, alpha = drawn[..., :3], drawn[..., 3]
     shadow = cv2.GaussianBlur(np.roll(alpha, (9, 5), (0, 1)), (0, 0), 9)
     image = tissue * (1 - 0.55 * shadow[..., None])
@@ -83,7 +83,7 @@ def draw_tool(truth: Truth, coverage: Float32, rays: Float32) -> Float32:
 
 def _shaded(truth: Truth, rays: Float32) -> Float32:
     """Return the colour of what rays (N, 3) meet, lit from the lens, and 1, (N, 4); zeros where they meet nothing."""
-    scene = Scene([truth])
+    scene = scene_of(truth)
     face, depth = scene.hits(rays)
     seen = face != NOTHING
     normal, depth = scene.normals(face[seen]).astype(np.float32), depth[seen]

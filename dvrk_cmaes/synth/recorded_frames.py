@@ -14,9 +14,9 @@ from dvrk_cmaes.geometry import Bool, Float32
 from dvrk_cmaes.synth.masks import simulate_segmentation
 from dvrk_cmaes.synth.moving_arm import FRAMES_A_SECOND, MOTION_LEVELS
 from dvrk_cmaes.synth.passing import Occluder, passing_occluder
-from dvrk_cmaes.synth.scene import links_seen
+from dvrk_cmaes.synth.scene import exact_coverage, links_seen
 from dvrk_cmaes.synth.session import SessionPlan
-from dvrk_cmaes.synth.truth import Truth, exact_coverage
+from dvrk_cmaes.synth.truth import Truth
 
 _SHADOW: Final = (7.0, 70.0)  # px at 640 x 480, shift of the shadow, and radius about the wrist in which it counts
 _VISIBLE_SHRINK: Final = 4  # factor on the size of the image in which the visible share of the jaws is counted
@@ -46,7 +46,7 @@ def recorded_frames(
     shadows = shadow_directions(plan, rng)
     for k, truth in enumerate(truths):
         occluder = occluder_at(plan, truth, k, rng, baseline)
-        coverage = exact_coverage(plan.body, plan.camera, truth)
+        coverage = exact_coverage(plan.camera, truth)
         yield recorded_frame(plan, truth, coverage, occluder, next(shadows), rng)
 
 

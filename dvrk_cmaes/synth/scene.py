@@ -1,4 +1,4 @@
-"""Instruments before a camera: what rays (Embree) meet of them, and the share of each pixel that each covers.
+"""An instrument before a camera: what rays (Embree) meet of it, and the share of each pixel that it covers.
 
 Rays go through the middles of the pixels, of large images of every second one. Pixels near which what they meet differs
 are divided into ``SAMPLES`` x ``SAMPLES`` rays. Only the lens is the camera's; the silhouettes by which poses are found
@@ -7,10 +7,8 @@ draw nothing here.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Final, Protocol
+from typing import Final
 
 import cv2
 import numpy as np
@@ -19,8 +17,8 @@ from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import Float32, Float64, apply
-from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.geometry import Bool, Float32, Float64, apply
+from dvrk_cmaes.synth.truth import Truth
 
 Faces = NDArray[np.int64]
 
@@ -30,44 +28,23 @@ NOTHING: Final = -1
 SAMPLES: Final = 5
 _LARGE: Final = 1500  # px, width from which on every second pixel is looked at first
 _MOST_RAYS: Final = 2_000_000  # at a time
-_MANY_RAYS: Final = 50_000  # from which on those that meet nothing are sorted out first
+_MANY_RAYS: Final = 5_000  # from which on those that meet nothing are sorted out first
 _CELLS: Final = 512  # of the plane z = 1, along each side of what the rays cover
 _FAR: Final = 1e37  # m, where a ray meets nothing
 
 
-class Placed(Protocol):
-    """An instrument in a frame: ``camera_from_root`` (4, 4), m, and joint values (J,)."""
-
-    @property
-    def instrument(self) -> Instrument:
-        """The instrument."""
-
-    @property
-    def camera_from_root(self) -> Float64:
-        """Pose (4, 4) of the root in the camera's frame."""
-
-    @property
-    def values(self) -> Float64:
-        """Joint values (J,)."""
-
-
 class Scene:
-    """The triangles of some instruments: ``tool`` and ``link`` (F,) are the places of those that they belong to."""
+    """The triangles of an instrument: ``link`` (F,) are the places of the links that they belong to."""
 
-    def __init__(self, tools: Sequence[Placed]) -> None:
-        self.tools = tools
-        points, faces, owner, before = [], [], [], 0
-        for number, own in enumerate(tools):
-            poses = own.camera_from_root @ own.instrument.forward(own.values)
-            for index, (link, camera_from_link) in enumerate(zip(own.instrument.links, poses, strict=True)):
-                points.append(apply(camera_from_link, link.vertices))
-                faces.append(link.faces + before)
-                owner.append(np.tile([[number], [index]], len(link.faces)))
-                before += len(link.vertices)
-        self.tool, self.link = np.concatenate(owner, axis=1)
-        self.points, self.faces = np.concatenate(points), np.concatenate(faces)
-        of_link = self.tool * (1 + self.link.max()) + self.link
-        self._outlines = [_seen_in_plane(self.points, self.faces[of_link == each]) for each in np.unique(of_link)]
+    def __init__(self, truth: Truth) -> None:
+        links = truth.instrument.links
+        poses = truth.camera_from_root @ truth.instrument.forward(truth.values)
+        points = [apply(pose, link.vertices) for pose, link in zip(poses, links, strict=True)]
+        before = np.cumsum([0, *map(len, points)])
+        self.link = np.repeat(np.arange(len(links)), [len(link.faces) for link in links])
+        self.points = np.concatenate(points)
+        self.faces = np.concatenate([link.faces + first for link, first in zip(links, before, strict=False)])
+        self._outlines = [_seen_in_plane(own, link.faces) for own, link in zip(points, links, strict=True)]
         self._scene = EmbreeScene()
         TriangleMesh(self._scene, self.points.astype(np.float32), self.faces.astype(np.int32))
 
@@ -102,7 +79,7 @@ class Scene:
         return np.flatnonzero(near[rows.astype(np.int32), columns.astype(np.int32)])
 
 
-def _seen_in_plane(points: Float64, faces: Faces) -> Float64:
+def _seen_in_plane(points: Float64, faces: NDArray[np.int32]) -> Float64:
     """Return points (N, 2) of the plane z = 1 whose convex hull holds all of some triangles that is beyond NEAREST."""
     before = points[:, 2] > NEAREST
     edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
@@ -111,27 +88,6 @@ def _seen_in_plane(points: Float64, faces: Faces) -> Float64:
     corners = np.unique(faces)
     seen = np.concatenate([points[corners[before[corners]]], cut])
     return np.asarray(seen[:, :2] / seen[:, 2:])
-
-
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """What a camera sees of T tools.
-
-    coverage : (T, H, W), share of each pixel that each covers. rays : (H', W', 3), through the middles of every
-    ``step``-th pixel. face, depth : (H', W'), triangle of ``scene`` that each meets, or ``NOTHING``, and its depth, m.
-    """
-
-    scene: Scene
-    coverage: Float32
-    rays: Float32
-    step: int
-    face: Faces
-    depth: Float32
-
-    def whole(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return values (H', W') of the rays at the size of the image, (H, W)."""
-        height, width = self.coverage.shape[1:]
-        return values if self.step == 1 else values.repeat(self.step, 0).repeat(self.step, 1)[:height, :width]
 
 
 def rays_of(camera: Camera, pixels: Float64) -> Float32:
@@ -148,31 +104,48 @@ def pixel_rays(camera: Camera, step: int = 1) -> Float32:
     return rays
 
 
-def links_seen(camera: Camera, tool: Placed) -> NDArray[np.int64]:
-    """Return the link (H, W) that is seen in the middle of each pixel, or ``NOTHING``."""
-    scene, rays = Scene([tool]), pixel_rays(camera)
-    face, _ = scene.hits(rays.reshape(-1, 3))
-    return np.where(face < 0, NOTHING, scene.link[face]).reshape(rays.shape[:2])
+@lru_cache(maxsize=4)
+def scene_of(truth: Truth) -> Scene:
+    """Return the triangles of an instrument; those of the last ones are kept."""
+    return Scene(truth)
 
 
-def see(camera: Camera, tools: Sequence[Placed]) -> Seen:
-    """Look at instruments, of which the nearer hides the farther."""
-    scene, step = Scene(tools), 2 if camera.width > _LARGE else 1
+@lru_cache(maxsize=4)
+def _looked(camera: Camera, truth: Truth, step: int = 1) -> tuple[Faces, Float32]:
+    """Return the triangle, or ``NOTHING``, and the depth, m, that the middle of every ``step``-th pixel shows."""
     rays = pixel_rays(camera, step)
-    hit, far = scene.hits(rays.reshape(-1, 3))
-    face, depth = hit.reshape(rays.shape[:2]), far.reshape(rays.shape[:2])
-    seen = Seen(scene, np.empty((len(tools), camera.height, camera.width), np.float32), rays, step, face, depth)
-    tool = seen.whole(np.where(face < 0, NOTHING, scene.tool[face]))
-    for number, coverage in enumerate(seen.coverage):
-        coverage[:] = tool == number
-    around, codes = np.ones((4 * step - 1, 4 * step - 1), np.uint8), (tool + 1).astype(np.uint8)
-    rows, columns = np.nonzero(cv2.dilate(codes, around) != cv2.erode(codes, around))
+    face, depth = scene_of(truth).hits(rays.reshape(-1, 3))
+    return face.reshape(rays.shape[:2]), depth.reshape(rays.shape[:2])
+
+
+def links_seen(camera: Camera, truth: Truth) -> NDArray[np.int64]:
+    """Return the link (H, W) that is seen in the middle of each pixel, or ``NOTHING``."""
+    face, _ = _looked(camera, truth)
+    return np.where(face < 0, NOTHING, scene_of(truth).link[face])
+
+
+def tool_depth(camera: Camera, truth: Truth) -> Float32:
+    """Return the depth (H, W) of an instrument in the middle of each pixel, m; infinite where it is not seen."""
+    face, depth = _looked(camera, truth)
+    return np.where(face == NOTHING, np.float32(np.inf), depth)
+
+
+def exact_coverage(camera: Camera, truth: Truth) -> Float32:
+    """Return the share (H, W) of each pixel that an instrument covers, 0 to 1."""
+    step = 2 if camera.width > _LARGE else 1
+    there = (_looked(camera, truth, step)[0] >= 0).astype(np.uint8)
+    there = there.repeat(step, 0).repeat(step, 1)[: camera.height, : camera.width]
+    coverage, around = there.astype(np.float32), np.ones((4 * step - 1, 4 * step - 1), np.uint8)
+    rows, columns = np.nonzero(cv2.dilate(there, around) != cv2.erode(there, around))
     if len(rows):
         inner = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
         within = np.stack(np.meshgrid(inner, inner), axis=-1).reshape(-1, 2)
         pixels = np.stack([columns, rows], axis=1)[:, None] + within
-        finer, _ = scene.hits(rays_of(camera, pixels.reshape(-1, 2)))
-        of_tool = np.where(finer < 0, NOTHING, scene.tool[finer]).reshape(len(rows), -1)
-        for number, coverage in enumerate(seen.coverage):
-            coverage[rows, columns] = (of_tool == number).mean(axis=1)
-    return seen
+        finer, _ = scene_of(truth).hits(rays_of(camera, pixels.reshape(-1, 2)))
+        coverage[rows, columns] = (finer >= 0).reshape(len(rows), -1).mean(axis=1)
+    return coverage
+
+
+def exact_mask(camera: Camera, truth: Truth) -> Bool:
+    """Return the mask (H, W) of the pixels that an instrument covers by more than half."""
+    return np.asarray(exact_coverage(camera, truth) > 0.5)

@@ -35,7 +35,8 @@ from dvrk_cmaes.synth.masks import simulate_segmentation
 from dvrk_cmaes.synth.occluders import dilate_region, outside_lens_circle, tissue_over_jaw
 from dvrk_cmaes.synth.poses import ViewLimits, arm_session, free_poses
 from dvrk_cmaes.synth.readings import sample_readings
-from dvrk_cmaes.synth.truth import Truth, exact_mask
+from dvrk_cmaes.synth.scene import exact_mask
+from dvrk_cmaes.synth.truth import Truth
 
 Motion = Literal["free", "rcm", "video"]
 Cables = Literal["independent", "measured"]
@@ -261,7 +262,7 @@ def _frame(
     camera, level = plan.camera, plan.level
     outside_lens = None if level.lens_edge is None else outside_lens_circle(camera, level.lens_edge)
     occluder, stated = _tissue(plan, truth, rng_of_tissue or rng)
-    mask, holes = exact_mask(plan.body, camera, truth), None
+    mask, holes = exact_mask(camera, truth), None
     hidden = _union(occluder, outside_lens)
     if level.mistakes is None:
         mask = mask if hidden is None else mask & ~hidden

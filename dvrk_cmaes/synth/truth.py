@@ -1,17 +1,15 @@
-"""True pose and joints of an instrument in a frame, and its exact mask."""
+"""True pose and joints of an instrument in a frame."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import Bool, Float32, Float64, apply, rotation_about_z, transform
+from dvrk_cmaes.geometry import Float64, apply, rotation_about_z, transform
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.synth.scene import see
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,16 +50,6 @@ class Truth:
 
     def _in_camera(self, points: Float64) -> Float64:
         return apply(self.camera_from_root, points)
-
-
-def exact_mask(body: Body, camera: Camera, truth: Truth) -> Bool:
-    """Render the mask (H, W) of the pixels that the instrument covers by more than half."""
-    return np.asarray(exact_coverage(body, camera, truth) > 0.5)
-
-
-def exact_coverage(body: Body, camera: Camera, truth: Truth) -> Float32:
-    """Render the share (H, W) of each pixel that the instrument covers, 0 to 1."""
-    return np.asarray(see(camera, [replace(truth, instrument=body.instrument)]).coverage[0])
 
 
 def pose_from_view(

@@ -15,18 +15,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.frames.session_toml import ToolEntry
 from dvrk_cmaes.geometry import Bool, Float32, Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.atomic import write_image, write_json
 from dvrk_cmaes.io.output import whole_folder
-from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.files import write_golden, write_joints
 from dvrk_cmaes.synth.masks import simulate_segmentation
 from dvrk_cmaes.synth.occluders import outside_lens_circle
 from dvrk_cmaes.synth.readings import sample_readings
-from dvrk_cmaes.synth.scene import NOTHING, Scene, pixel_rays
+from dvrk_cmaes.synth.scene import tool_depth
 from dvrk_cmaes.synth.session import PLAN_FILE, SessionPlan, frame_name, make_truths, write_cameras
 from dvrk_cmaes.synth.truth import Truth
 
@@ -47,11 +45,11 @@ def make_arms(plan: SessionPlan) -> tuple[tuple[Float64, list[Truth]], tuple[Flo
     second_base, offered = make_truths(replace(plan, seed=plan.seed + SECOND, frames=_CANDIDATES * plan.frames))
     assert first_base is not None
     assert second_base is not None
-    depths = [tool_depth(plan.body, plan.camera, truth) for truth in offered]
+    depths = [tool_depth(plan.camera, truth) for truth in offered]
     left = list(range(len(offered)))
     second = []
     for truth in first:
-        near = tool_depth(plan.body, plan.camera, truth)
+        near = tool_depth(plan.camera, truth)
         shares = [max(hidden_shares(near, depths[k])) for k in left]
         allowed = [share if share <= MOST_HIDDEN else -share for share in shares]
         second.append(offered[left.pop(int(np.argmax(allowed)))])
@@ -88,7 +86,7 @@ def write_two_arms(out: Path, plan: SessionPlan, tool: ToolEntry, *, overwrite: 
 
 def _write_frame(folder: Path, plan: SessionPlan, name: str, number: int, truths: Sequence[Truth]) -> None:
     """Write the mask of labels of a frame, the ignored pixels, and the masks of each tool alone."""
-    depths = [tool_depth(plan.body, plan.camera, truth) for truth in truths]
+    depths = [tool_depth(plan.camera, truth) for truth in truths]
     edge = plan.level.lens_edge
     outside = None if edge is None else outside_lens_circle(plan.camera, edge)
     masks = []
@@ -123,12 +121,6 @@ def _segmented(plan: SessionPlan, exact: Bool, number: int, tool: int, outside: 
         return exact if outside is None else exact & ~outside
     rng = np.random.default_rng([plan.seed, number, tool, 2])
     return simulate_segmentation(exact, rng, plan.level.mistakes, outside).mask
-
-
-def tool_depth(body: Body, camera: Camera, truth: Truth) -> Float32:
-    """Trace the depth (H, W) of a tool at each pixel, m; infinite where it is not seen."""
-    face, depth = Scene([replace(truth, instrument=body.instrument)]).hits(pixel_rays(camera).reshape(-1, 3))
-    return np.where(face == NOTHING, np.float32(np.inf), depth).reshape(camera.height, camera.width)
 
 
 def tools_of_arms(tool: ToolEntry) -> list[ToolEntry]:

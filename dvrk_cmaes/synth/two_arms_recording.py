@@ -33,8 +33,9 @@ from dvrk_cmaes.synth.recording import (
     record_arm,
     write_arms,
 )
+from dvrk_cmaes.synth.scene import exact_coverage, tool_depth
 from dvrk_cmaes.synth.session import PLAN_FILE, SessionPlan, write_cameras
-from dvrk_cmaes.synth.truth import Truth, exact_coverage
+from dvrk_cmaes.synth.truth import Truth
 from dvrk_cmaes.synth.two_arms import (
     ALONE,
     ARMS,
@@ -43,7 +44,6 @@ from dvrk_cmaes.synth.two_arms import (
     from_far,
     hidden_shares,
     label_mask,
-    tool_depth,
     tools_of_arms,
 )
 
@@ -123,7 +123,7 @@ def _crossing(plan: SessionPlan, truths: Sequence[Truth], depths: Sequence[Float
 def _small_depths(plan: SessionPlan, truths: Sequence[Truth]) -> list[Float32]:
     """Trace the depths of a tool in a smaller image."""
     camera = plan.camera.scaled(plan.camera.width // _SHRINK, plan.camera.height // _SHRINK)
-    return [tool_depth(plan.body, camera, truth) for truth in truths]
+    return [tool_depth(camera, truth) for truth in truths]
 
 
 def _frame(
@@ -139,11 +139,11 @@ def _frame(
     An image shows of the nearer tool all but what the other one hides of it.
     """
     now = [own[number] for own in truths]
-    depths = [tool_depth(plan.body, plan.camera, truth) for truth in now]
+    depths = [tool_depth(plan.camera, truth) for truth in now]
     behind = depths[1] < depths[0], depths[0] < depths[1]
     tools, masks = [], {}
     for tool, truth in enumerate(now):
-        coverage = exact_coverage(plan.body, plan.camera, truth)
+        coverage = exact_coverage(plan.camera, truth)
         seen, lone = (
             recorded_frame(
                 plan,

@@ -33,8 +33,8 @@ from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.moving_arm import MOTION_LEVELS
 from dvrk_cmaes.synth.recording import RecordedArm, record_arm
+from dvrk_cmaes.synth.scene import exact_mask
 from dvrk_cmaes.synth.session import SessionPlan
-from dvrk_cmaes.synth.truth import exact_mask
 
 FRAMES = 12
 QUICK = EstimateConfig(session=SessionConfig(test_camera=False))
@@ -49,7 +49,7 @@ def world(bundled_body: Body) -> tuple[RecordedArm, list[SessionFrame]]:
     for k in range(5, 10 * FRAMES, 10):
         readings = {name: float(values[k]) for name, values in arm.readings.items()}
         result = near_the_truth(bundled_body.instrument, f"{k:04d}", arm.truths[k], readings, rng)
-        mask = exact_mask(bundled_body, SMALL, arm.truths[k])
+        mask = exact_mask(SMALL, arm.truths[k])
         frames.append(SessionFrame(f"{k:04d}", FrameData.of(mask, SMALL, None), result, time=k / 30))
     return arm, frames
 

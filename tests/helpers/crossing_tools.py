@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from dvrk_cmaes import Body, Camera
+from dvrk_cmaes.synth.scene import tool_depth
 from dvrk_cmaes.synth.truth import Truth
-from dvrk_cmaes.synth.two_arms import tool_depth
 from helpers.transforms import lookat_pose, transform
 
 CAMERA = Camera(320, 240, 513.0, 513.0, 161.0, 119.0)
@@ -32,7 +32,7 @@ class CrossingTools:
     def depths(self) -> list[np.ndarray]:
         """Depth (H, W) of each tool, m, infinite where it is not."""
         truths = [Truth(self.body.instrument, self.poses[tool], self.values(tool)) for tool in (0, 1)]
-        return [tool_depth(self.body, self.camera, truth) for truth in truths]
+        return [tool_depth(self.camera, truth) for truth in truths]
 
     @property
     def masks(self) -> tuple[np.ndarray, np.ndarray]:

@@ -18,7 +18,8 @@ from dvrk_cmaes.frames.markers import Marker, place_markers, read_marker_table
 from dvrk_cmaes.io.video_writer import quiet_ffmpeg
 from dvrk_cmaes.synth.moving_arm import MotionLevel, moving_arm
 from dvrk_cmaes.synth.moving_images import IMAGE_LEVELS, DrawnTool, RecordingImages
-from dvrk_cmaes.synth.truth import Truth, exact_coverage
+from dvrk_cmaes.synth.scene import exact_coverage
+from dvrk_cmaes.synth.truth import Truth
 from helpers.places import bundled_path
 from helpers.transforms import apply, exp_rotation, moved, transform
 
@@ -65,7 +66,7 @@ class MadeArms:
 
     def coverages(self, frame: int, right: bool = False) -> dict[str, np.ndarray]:
         """Shares (H, W) of the pixels that each tool covers in an eye's image."""
-        return {arm: exact_coverage(self.body, CAMERA, self._seen(arm, right)[frame]) for arm in ARMS}
+        return {arm: exact_coverage(CAMERA, self._seen(arm, right)[frame]) for arm in ARMS}
 
     def image(self, frame: int, right: bool = False) -> np.ndarray:
         """Draw an eye's image, (H, W, 3)."""

@@ -11,7 +11,8 @@ import numpy as np
 from dvrk_cmaes import Body, Camera, Tracker, TrackResult, prepare
 from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.synth.moving_arm import FRAMES_A_SECOND, MotionLevel, moving_arm, read_moving
-from dvrk_cmaes.synth.truth import Truth, exact_mask
+from dvrk_cmaes.synth.scene import exact_mask
+from dvrk_cmaes.synth.truth import Truth
 from helpers.transforms import moved
 
 SMALL = Camera(320, 240, 513, 513, 161, 119)
@@ -68,7 +69,7 @@ def moving_world(frames: int = 40, seed: int = 3, level: MotionLevel = OFFSETS_O
     truths = [replace(truth, camera_from_root=aside @ truth.camera_from_root) for truth in truths]
     paths = read_moving(truths, rng, level)
     readings = [{name: float(path[k]) for name, path in paths.items()} for k in range(frames)]
-    return MovingWorld(body, SMALL, base, truths, [exact_mask(body, SMALL, truth) for truth in truths], readings)
+    return MovingWorld(body, SMALL, base, truths, [exact_mask(SMALL, truth) for truth in truths], readings)
 
 
 def drawn(world: MovingWorld, frames: int) -> list[np.ndarray]:

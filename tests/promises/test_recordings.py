@@ -35,8 +35,8 @@ from promises.program import (
 VIDEO = ("--motion", "video", "--level", "easy", "--no-images")
 ONE = (*VIDEO, "--frames", 32, "--seed", 5, "--lag", "2frames")
 STEERED = (*VIDEO, "--frames", 36, "--seed", 7, "--ecm")
-PAIR = (*VIDEO, "--frames", 20, "--seed", 3, "--arms", 2, "--stereo")
-IMAGES = ("--motion", "video", "--level", "easy", "--frames", 16, "--seed", 8)
+PAIR = (*VIDEO, "--frames", 12, "--seed", 3, "--arms", 2, "--stereo")
+IMAGES = ("--motion", "video", "--level", "easy", "--frames", 12, "--seed", 8)
 POSTURES = ("--level", "easy", "--frames", 14, "--seed", 5)
 PLAIN = ("--no-video", "--no-page")
 
@@ -174,7 +174,7 @@ def test_two_arms_are_followed_by_both_eyes(kept: Kept) -> None:
     out = kept("track", session, "--out", OUT, *PLAIN).folder
     for arm in ("PSM1", "PSM2"):
         found = tracks(out / arm)
-        assert len(found) == 20
+        assert len(found) == 12
         assert check(found, truth(session, arm)) < 1.5
     arms = json.loads((out / "arms.json").read_text())
     bases = [matrix(json.loads((session / f"golden_PSM{k}.json").read_text()), "camera_from_base") for k in (1, 2)]

@@ -101,12 +101,12 @@ def test_other_light_and_noise_change_little(gain: float, offset: float, noise: 
     rng = np.random.default_rng(0)
     images = [
         np.clip(gain * each.image + offset + rng.normal(0, noise, each.image.shape), 0, 255).astype(np.uint8)
-        for each in drawn_on("paper")
+        for each in drawn_on("paper")[::2]
     ]
     learned = learn_background(images)
     assert isinstance(learned, np.ndarray) or noise
     background = learned if isinstance(learned, np.ndarray) else None
-    for each, image in list(zip(drawn_on("paper"), images, strict=True))[::5]:
+    for each, image in list(zip(drawn_on("paper")[::2], images, strict=True))[::3]:
         found = segment(image, background=background)
         assert each.overlap(found.mask) > 0.9
 

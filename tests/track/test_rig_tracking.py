@@ -54,7 +54,7 @@ def world() -> StereoWorld:
 
     def seen(truth: Truth) -> np.ndarray:
         moved = replace(truth, camera_from_root=RIGHT_FROM_LEFT @ truth.camera_from_root)
-        return exact_mask(left.body, RIGHT, moved)
+        return exact_mask(RIGHT, moved)
 
     first = estimate(left.masks[0], left.camera, left.readings[0], left.body)
     return StereoWorld(left, [seen(truth) for truth in left.truths], first)

@@ -198,7 +198,7 @@ def test_readings_that_stop_and_come_back_do_not_matter(world: MovingWorld, firs
 def test_base_that_moved_is_followed(world: MovingWorld, first: Result) -> None:
     steered = moved(np.eye(4), [0.006, -0.004, 0.0, 0.0, 0.0, 0.05])
     after = [replace(truth, camera_from_root=steered @ truth.camera_from_root) for truth in world.truths]
-    masks = [exact_mask(world.body, world.camera, truth) if k >= 8 else world.masks[k] for k, truth in enumerate(after)]
+    masks = [exact_mask(world.camera, truth) if k >= 8 else world.masks[k] for k, truth in enumerate(after)]
     followed = world.follow(started(world, first), frames=range(1, 24), mask=lambda k: masks[k])
     assert np.linalg.norm(followed[-1].tips - after[23].tips, axis=1).mean() < 2e-3  # type: ignore[operator]
 
