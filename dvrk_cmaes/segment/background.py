@@ -108,7 +108,7 @@ def smooth_background(image: Image) -> Image | None:
     terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v, u**4, v**4, u * u * v * v], axis=-1).reshape(-1, 9)
     values = np.log(small.reshape(-1, 3) + _DARK)
     brightness = values.mean(axis=1)
-    near = np.abs(brightness - _most_frequent(brightness)) < 6 * _NEAR_SURFACE
+    near = np.abs(brightness - np.median(brightness)) < 6 * _NEAR_SURFACE
     for _ in range(_SURFACE_PASSES):
         if near.mean() < _LEAST_SURFACE / 2:
             return None
@@ -273,13 +273,6 @@ def _median_of_free(stack: Image, free: Bool, otherwise: Image) -> Image:
     values.sort(axis=0)
     middle = np.take_along_axis(values, (np.maximum(count - 1, 0) // 2)[None, ..., None], axis=0)[0]
     return np.where((count >= _LEAST_FREE)[..., None], np.minimum(middle, 255), otherwise).astype(np.uint8)
-
-
-def _most_frequent(values: NDArray[np.float64]) -> float:
-    """Return the centre of the fullest bin of a histogram."""
-    counts, edges = np.histogram(values, bins=40)
-    fullest = int(counts.argmax())
-    return float(edges[fullest : fullest + 2].mean())
 
 
 def _blocks(rows: int) -> Iterator[slice]:

@@ -21,7 +21,7 @@ from dvrk_cmaes.frames.seen_view import overlap_of
 from dvrk_cmaes.geometry import Bool, Float32, Float64, Image, Posed, frame_along, rotation_about_z, transform
 from dvrk_cmaes.segment.appearance import Appearance, Scores
 from dvrk_cmaes.segment.prompts import Prompts
-from dvrk_cmaes.segment.segmentation import GUESS
+from dvrk_cmaes.segment.segmentation import GUESS, Pixel
 from dvrk_cmaes.segment.shaft_pairs import Pair, find_pairs, pair_of_mask
 from dvrk_cmaes.segment.sizes import REDUCED, resized, shrunk, size_within
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -33,7 +33,7 @@ _DETAILS: Final = 0.0015, 0.002, 0.003, 0.004, 0.005, 0.006  # m, cells of the m
 _FACES: Final = 260, 520  # at most, of the meshes that are ranked, and of those that are compared
 _PAIRS: Final = 28
 _MOST_PAIRS: Final = 280  # of which those that pass near prompts are taken
-_NEAR_PROMPT: Final = 1.5  # widths of the shaft from its axis to a point on the instrument, or to its box
+_NEAR_PROMPT: Final = 1.5  # widths of the shaft from its axis to a point on the instrument
 _STEP: Final = 8.0  # px along an axis
 _MOST_STEPS: Final = 24
 _TRIED: Final = 200  # points along an axis, that are compared with prompts
@@ -112,17 +112,19 @@ def find_instruments(
 
     ``joints`` are the readings, rad, by name. ``rough`` is a mask of any size found by other means: it is looked
     whether its sides are a shaft's, too. ``foreground`` are log-odds of instrument by a known background, of any size.
-    With a box or points on the instrument, axes of the shaft that do not pass near these are left out.
+    Edges are looked for within a box; axes of the shaft that do not pass near points on the instrument are left out.
     """
     instrument, outside = body.instrument, prompts.outside
     if instrument.shaft is None:
         return []
     (fine, _), (size, _) = (size_within(image.shape, longest) for longest in (_LINES, REDUCED))
     lines = np.max(cv2.split(shrunk(image, _LINES)), axis=0)
-    seen = outside if foreground is None else outside | ~resized(_near_foreground(foreground), outside.shape[1::-1])
+    unseen = prompts.background
+    if foreground is not None:
+        unseen = unseen | ~resized(_near_foreground(foreground), outside.shape[1::-1])
     radius, most = instrument.shaft.radius, _MOST_PAIRS if prompts.given else _PAIRS
-    pairs = find_pairs(lines, camera.scaled(*fine), radius, resized(seen, fine), most)
-    pairs = [pair for pair in pairs if _passes_near(pair, prompts, camera, radius)][:_PAIRS]
+    pairs = find_pairs(lines, camera.scaled(*fine), radius, resized(unseen, fine), most)
+    pairs = [pair for pair in pairs if _passes_near(pair, prompts.points, camera, radius)][:_PAIRS]
     if rough is not None:
         pair = pair_of_mask(rough, camera.scaled(rough.shape[1], rough.shape[0]), radius)
         pairs += [] if pair is None else [pair]
@@ -189,16 +191,11 @@ def find_instruments(
     return sorted(found, key=lambda each: (each.confidence < GUESS, -each.score))
 
 
-def _passes_near(pair: Pair, prompts: Prompts, camera: Camera, radius: float) -> bool:
-    """Whether the axis of a pair passes near all points on the instrument, and meets the box around it."""
+def _passes_near(pair: Pair, points: Sequence[Pixel], camera: Camera, radius: float) -> bool:
+    """Whether the axis of a pair passes near all points on the instrument."""
     axis = pair.point + np.linspace(pair.begin, pair.end, _TRIED)[:, None] * pair.direction
     pixels, near = camera.project(axis), _NEAR_PROMPT * 2 * radius * camera.fx / axis[:, 2]
-    if not all((np.linalg.norm(pixels - point, axis=1) < near).any() for point in prompts.points):
-        return False
-    if prompts.box is None:
-        return True
-    low, high = np.array(prompts.box[:2]), np.array(prompts.box[2:])
-    return bool(((pixels > low - near[:, None]) & (pixels < high + near[:, None])).all(axis=1).any())
+    return all(bool((np.linalg.norm(pixels - point, axis=1) < near).any()) for point in points)
 
 
 def _optimised(by: Appearance, begin: Posed, scale: Float64, passes: int) -> Posed:

@@ -48,8 +48,7 @@ def rough_mask(image: Image, hints: Hints) -> Segmentation:
         return nothing_found(small.shape)
     prompts = draw_prompts(small, hints, scale)
     colours = measure_colours(small)
-    around_box = None if hints.box is None else prompts.background & ~prompts.outside
-    prior = greyness_log_odds(colours, around_box, prompts.tool)
+    prior = greyness_log_odds(colours)
     table = ColourTable(colours)
     mask = _iterate_cuts(colours, table, prior, prompts)
     odds = local_colour_log_odds(table, mask)

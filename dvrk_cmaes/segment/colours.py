@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 from dvrk_cmaes.geometry import Bool, Float32
 from dvrk_cmaes.segment.regions import distance_to
 
-_GREY = np.ones(3, np.float32) / np.sqrt(np.float32(3))
+_GREY = np.ones((1, 3), np.float32) / np.sqrt(np.float32(3))
 _RAYS = 3  # number of rays of the background
 # standard deviation about a ray, as a fraction of the brightness; larger for steel, which reflects its surroundings
 _DEVIATION = {"background": 0.06, "tool": 0.12}
 _LARGEST_TOOL_ODDS = 4.5  # bound of the log-odds for instrument, by the distance from the background's rays
-_LARGEST_COLOUR_PENALTY = 2.0  # bound of the log-odds against instrument, where it may have any colour
 _BINS = np.array([24, 24, 20])  # of the histogram, for the three features
 _NEAR_ZERO = 1e-5  # added to frequencies before the logarithm
 _DECAY = 12.0  # px; near an outline, pixels are weighted by exp(-distance from it / this)
@@ -73,34 +72,18 @@ def brightest(image: Float32) -> Float32:
     return np.asarray(cv2.max(cv2.max(image[..., 0], image[..., 1]), image[..., 2]), np.float32)
 
 
-def greyness_log_odds(colours: Colours, around_box: Bool | None, tool: Bool) -> Float32:
+def greyness_log_odds(colours: Colours) -> Float32:
     """Return log-odds of instrument against background (H, W), by the distances of colours from rays through black.
 
-    Parameters
-    ----------
-    colours
-        Colours of the image.
-    around_box
-        (H, W), pixels around a box that the instrument is in, from which the background's rays are taken; without, the
-        pixels whose saturation is above Otsu's threshold. In a box, the instrument may have any colour: the log-odds
-        against a pixel that is far from the instrument's rays are bounded, so that one far from the background's rays
-        too is taken for instrument.
-    tool
-        (H, W), pixels known to be instrument; their mean direction is a further ray of the instrument.
+    The background's rays are those of the pixels whose saturation is above Otsu's threshold.
     """
     lit, lifted = colours.brightness > 6 * colours.noise, 4 * colours.noise
-    if around_box is None:
-        grey = (lifted - brightest(-colours.smooth)) / (colours.brightness + lifted)  # 1 less the saturation
-        background = lit & (1 - grey > _threshold(1 - grey[lit]))
-    else:
-        background = around_box & lit if (around_box & lit).any() else around_box
+    saturation = 1 - (lifted - brightest(-colours.smooth)) / (colours.brightness + lifted)
+    background = lit & (saturation > _threshold(saturation[lit]))
     if not background.any():
         return np.zeros(colours.shape, np.float32)
-    rays = [_GREY, *(_rays(colours.smooth[tool], 1) if tool.any() else ())]
-    from_background = _ray_distance(colours, _rays(colours.smooth[background], _RAYS), _DEVIATION["background"])
-    from_tool = _ray_distance(colours, rays, _DEVIATION["tool"])
-    if around_box is not None:
-        from_tool = np.minimum(from_tool, _LARGEST_COLOUR_PENALTY)
+    from_background = _ray_distance(colours, _background_rays(colours.smooth[background]), _DEVIATION["background"])
+    from_tool = _ray_distance(colours, _GREY, _DEVIATION["tool"])
     return np.asarray(np.minimum(from_background, _LARGEST_TOOL_ODDS) - from_tool, np.float32)
 
 
@@ -148,8 +131,8 @@ def _threshold(values: Float32) -> float:
     return float(cv2.threshold(levels, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)[0]) / 255
 
 
-def _rays(pixels: Float32, count: int) -> Float32:
-    """Cluster the directions of pixels (N, 3) by k-means; returns the clusters' unit directions (count, 3).
+def _background_rays(pixels: Float32) -> Float32:
+    """Cluster the directions of pixels (N, 3) by k-means; returns the clusters' unit directions (K, 3).
 
     The initial clusters are equal parts of the pixels in the order of their first principal component. With fewer than
     20 pixels a cluster, the one mean direction (1, 3) is returned.
@@ -157,16 +140,16 @@ def _rays(pixels: Float32, count: int) -> Float32:
     directions = pixels[:: max(len(pixels) // 8000, 1)]
     directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     middle = directions.mean(axis=0, keepdims=True)
-    if count > 1 and len(directions) >= 20 * count:
+    if len(directions) >= 20 * _RAYS:
         along = (directions - middle) @ np.linalg.svd(np.cov(directions.T))[0][:, 0]
-        labels = (along.argsort().argsort() * count // len(along)).astype(np.int32)[:, None]
+        labels = (along.argsort().argsort() * _RAYS // len(along)).astype(np.int32)[:, None]
         criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 20, 1e-4)
         start = cv2.KMEANS_USE_INITIAL_LABELS  # deterministic: no random initial clusters
-        middle = cv2.kmeans(directions.astype(np.float32), count, labels, criteria, 1, start)[2]
+        middle = cv2.kmeans(directions.astype(np.float32), _RAYS, labels, criteria, 1, start)[2]
     return np.asarray(middle / np.linalg.norm(middle, axis=1, keepdims=True), np.float32)
 
 
-def _ray_distance(colours: Colours, rays: Float32 | list[Float32], deviation: float) -> Float32:
+def _ray_distance(colours: Colours, rays: Float32, deviation: float) -> Float32:
     """Return half the squared distance (H, W) of each pixel from the nearest ray, in units of its standard deviation.
 
     The variance is that of the noise plus that of colours about a ray, ``deviation`` times the brightness squared.

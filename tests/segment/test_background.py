@@ -202,14 +202,17 @@ def test_prompt_before_a_printed_board_does_not_fill_the_picture(shared: Path, k
     files = session.frames[7]
     assert files.image is not None
     assert files.mask is not None
-    v, u = np.nonzero(read_mask(files.mask))
+    mask = read_mask(files.mask)
+    v, u = np.nonzero(mask)
     given: dict[str, Any] = {"points": [(float(np.median(u)), float(np.median(v)))]}
     if kind == "box":
         given = {"box": (float(u.min()), float(v.min()), float(u.max()), float(v.max()))}
     camera = session.rig.views[0].camera
-    found = segment(read_image(files.image), instrument="lnd", camera=camera, joints=files.readings, **given)
+    image = read_image(files.image)
+    found = segment(image, instrument="lnd", camera=camera, joints=files.readings, **given)
     assert found.mask.mean() < 0.3
-    assert found.confidence < 0.6
+    assert found.confidence < 0.6 or Drawing(image, mask).overlap(found.mask) > 0.7
+    assert kind == "point" or Drawing(image, mask).overlap(found.mask) > 0.7
 
 
 def test_wrong_background_is_refused() -> None:

@@ -88,13 +88,6 @@ def _two(first: Drawing, second: Drawing) -> tuple[Drawing, Drawing]:
     return Drawing(image, shifted[0].mask), Drawing(image, shifted[1].mask)
 
 
-def test_colourful_instrument_is_found_in_box() -> None:
-    drawn = draw_tool()
-    image = drawn.image.copy()
-    image[drawn.mask] = image[drawn.mask] // 2 + np.array([20, 90, 10], np.uint8)  # a green instrument
-    assert Drawing(image, drawn.mask).overlap(segment(image, box=drawn.box).mask) >= 0.85
-
-
 def test_points_are_in_mask_and_not_points_are_not(drawing: Drawing) -> None:
     found = segment(drawing.image, points=[(60, 115)], not_points=[(60, 60), (200, 200)]).mask
     assert found[115, 60]
