@@ -125,11 +125,12 @@ def segment_file(
     """
     from time import perf_counter
 
+    from dvrk_cmaes.draw.track_overlay import draw_track
     from dvrk_cmaes.frames.images import read_image
     from dvrk_cmaes.io.atomic import write_image
     from dvrk_cmaes.results.paths import mask_path, overlay_path
+    from dvrk_cmaes.results.tracked import TrackView
     from dvrk_cmaes.segment import segment as segment_image
-    from dvrk_cmaes.segment.overlay import draw_segmentation
     from dvrk_cmaes.segment.segmentation import GUESS
 
     image = read_image(path)
@@ -149,13 +150,16 @@ def segment_file(
         raise DvrkCmaesError(f"{path}: no instrument found; a box or a point on the instrument would help")
     here = Path()
     files = {"mask": mask_path(here, frame), "overlay": overlay_path(here, frame)}
-    write_image(out / files["overlay"], draw_segmentation(image, found, frame, hints))
+    status = "doubtful" if found.confidence < GUESS else "ok"
+    text = "; ".join([f"confidence {found.confidence:.2f}", *found.notes])
+    shown = TrackView(image, found.mask, None, image.shape[1::-1])
+    write_image(out / files["overlay"], draw_track([shown], frame=frame, status=status, reasons=[text]))
     for number, other in enumerate(found.others, start=2):
         files[f"mask_{number}"] = Path("others", f"{frame}-{number}.png")
         write_image(out / files[f"mask_{number}"], other.mask)
     write_image(out / files["mask"], found.mask)
     return {
-        "status": "doubtful" if found.confidence < GUESS else "ok",
+        "status": status,
         "confidence": round(found.confidence, 4),
         "share": round(float(found.mask.mean()), 6),
         "before": found.before,
