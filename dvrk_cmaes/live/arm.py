@@ -5,14 +5,10 @@ from __future__ import annotations
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Final, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Final
 
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.errors import InputError, one_line
-from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.live.connection import Report
 from dvrk_cmaes.live.inputs import Decoded, LiveFrame
@@ -22,8 +18,10 @@ from dvrk_cmaes.live.stamps import LONGEST_GAP
 from dvrk_cmaes.pose.doubts import image_old, reasons
 from dvrk_cmaes.results.tracked import TrackResult
 
-Pixels = NDArray[np.uint8]
-Mask = Bool
+if TYPE_CHECKING:
+    from dvrk_cmaes.live.arm_process import ArmProcess
+    from dvrk_cmaes.live.follow import FollowedArm
+
 Readings = Sequence[tuple[float, Mapping[str, float]]]
 """Times, s, and readings of joints by name, rad (insertion: m)."""
 
@@ -32,24 +30,6 @@ OLD: Final = 1.0
 MOST_FAILURES: Final = 3
 """Steps in a row that fail, after which a new tracker begins."""
 _STATE_EVERY: Final = 1.0  # s without a result, after which the status says why
-
-
-class LiveTracker(Protocol):
-    """Follows an instrument; times are in seconds, arrays by eye."""
-
-    @property
-    def state(self) -> str:
-        """How far the arm's base is known, in words."""
-
-    def start_step(
-        self,
-        readings: Readings,
-        time: float,
-        mask: Mapping[str, Mask] | None = None,
-        image: Mapping[str, Pixels] | None = None,
-        ignore: Mapping[str, Mask] | None = None,
-    ) -> Callable[[], TrackResult]:
-        """Begin to follow the instrument to the images of a later time; returns what waits for the result."""
 
 
 class LiveArm:
@@ -76,7 +56,7 @@ class LiveArm:
     def __init__(
         self,
         name: str,
-        make_tracker: Callable[[Rig], LiveTracker],
+        make_tracker: Callable[[Rig], FollowedArm | ArmProcess],
         outputs: Outputs,
         report: Report,
         now: Callable[[], float],

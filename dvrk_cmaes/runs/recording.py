@@ -201,9 +201,7 @@ class RecordedSolution:
         """Return some frames with what is predicted of them."""
         information, files = np.linalg.inv(predicted.spread), self.recorded.files
         read, at = partial(read_seen, rig=self.rig, images=self.colours is not None), predicted.at
-        return [
-            PredictedFrame(files[i].name, partial(read, files[i]), Expected(at[i], information[i])) for i in numbers
-        ]
+        return [(partial(read, files[i]), Expected(at[i], information[i])) for i in numbers]
 
     def fits(self, predicted: Prediction, run: Run[Any, Any]) -> list[FittedFrame | None]:
         """Fit every frame with the prediction as its prior."""

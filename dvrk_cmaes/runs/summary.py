@@ -26,16 +26,6 @@ def timing_of(frames: int, seconds: float) -> dict[str, float] | None:
     return {"frames": frames, "seconds": round(seconds, 3), "frames_per_second": round(frames / seconds, 4)}
 
 
-def count_frames(statuses: Sequence[Status], missing: int) -> dict[str, int]:
-    """Count frames by status; ``missing`` is the number of those without a result."""
-    counter = Counter(statuses)
-    return {
-        "frames": len(statuses) + missing,
-        **{status: counter[status] for status in get_args(Status)},
-        "missing": missing,
-    }
-
-
 def summarize(
     results: Mapping[str, Result],
     manifest: Mapping[str, Any],
@@ -58,12 +48,17 @@ def summarize(
     """
     missing = sorted(set(manifest["frames"]) - set(results))
     values = list(results.values())
+    statuses = Counter(result.status for result in values)
     return {
         "schema": SCHEMA,
         "session": manifest["session"],
         "version": manifest["version"],
         "instrument": manifest["instrument"]["name"],
-        "counts": count_frames([result.status for result in values], len(missing)),
+        "counts": {
+            "frames": len(values) + len(missing),
+            **{status: statuses[status] for status in get_args(Status)},
+            "missing": len(missing),
+        },
         "medians": _medians(values),
         "frames": {name: {"status": r.status, "reasons": list(r.reasons)} for name, r in results.items()},
         "missing": missing,

@@ -42,13 +42,8 @@ _LEAST_SHOWN = 40  # px of mask, from which on a frame is fitted
 _ANOTHER_START = 1.0  # standard deviations per parameter between two starts that are both tried
 
 
-@dataclass(frozen=True, eq=False)
-class PredictedFrame:
-    """A frame, the function that reads its data, and what the calibration expects of it."""
-
-    name: str
-    read: Callable[[], FrameData | None]
-    expected: Expected
+PredictedFrame = tuple[Callable[[], FrameData | None], Expected]
+"""The function that reads a frame's data, and what the calibration expects of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,18 +222,18 @@ def fit_block(
     """
     found: list[FittedFrame | None] = []
     before: Float64 | None = None
-    for frame in frames:
-        started, data, fitted = time.perf_counter(), frame.read(), None
+    for read, expected in frames:
+        started, data, fitted = time.perf_counter(), read(), None
         if data is not None:
             data = data if colours is None else with_outside(data)
-            fitted = fit_seen(data.views, body, config, frame.expected, before, masks, colours)
+            fitted = fit_seen(data.views, body, config, expected, before, masks, colours)
         if data is None or fitted is None:
             found.append(None)
             before = None
             continue
         stored = StoredFrame.of_views(fitted.views, data.camera, fitted.own)
         found.append(FittedFrame(stored, fitted.fit, time.perf_counter() - started, tuple(fitted.doubts)))
-        before = fitted.fit.at.minus(frame.expected.mean) if fitted.holds else None
+        before = fitted.fit.at.minus(expected.mean) if fitted.holds else None
     return found
 
 
@@ -249,7 +244,8 @@ def around_task(
 
     None where they are not supported.
     """
-    data, expected = frame.read(), frame.expected
+    read, expected = frame
+    data = read()
     if data is None:
         return None
     data = with_outside(data)
@@ -276,9 +272,9 @@ def _masked(
             continue
         how = (1, _LONGEST) if running else (PASSES, FINEST)
         found = mask_around(view.image, silhouette, model, view.ignore, spread, *how)
-        mask = np.zeros_like(silhouette) if found is None else found.mask
+        mask, unsupported = (np.zeros_like(silhouette), 0.0) if found is None else found
         views.append(replace(view, mask=mask, given=True, image=None))
-        shares.append(0.0 if found is None else found.unsupported)
+        shares.append(unsupported)
     return tuple(views), max(shares)
 
 

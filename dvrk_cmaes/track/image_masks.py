@@ -93,14 +93,6 @@ def _histogram(bins: NDArray[np.int32]) -> Float32:
     return np.asarray(count.ravel() / max(float(count.sum()), 1e-9), np.float32)
 
 
-@dataclass(frozen=True, eq=False)
-class FoundMask:
-    """A mask (H, W) found around a silhouette, and the share of that, ``unsupported``, without the tool's colours."""
-
-    mask: Bool
-    unsupported: float
-
-
 def learned_colours(image: Image, silhouette: Bool, ignore: Bool | None) -> ColourModel | None:
     """Learn the colours on both sides of a silhouette's outline; None where one side shows too little.
 
@@ -135,7 +127,7 @@ def mask_around(
     spread: float = 0.0,
     passes: int = PASSES,
     longest: int = FINEST,
-) -> FoundMask | None:
+) -> tuple[Bool, float] | None:
     """Find the mask of the instrument in an image around the silhouette that is expected.
 
     Parameters
@@ -157,9 +149,9 @@ def mask_around(
 
     Returns
     -------
-    FoundMask or None
-        None where the silhouette is empty or full, no pixel is taken for the instrument, or nearly the whole
-        silhouette is without its colours.
+    mask, unsupported
+        The mask (H, W), and the share of the silhouette without the tool's colours. None where the silhouette is empty
+        or full, no pixel is taken for the instrument, or nearly the whole silhouette is without its colours.
     """
     if not silhouette.any():
         return None
@@ -184,7 +176,7 @@ def mask_around(
     if found is None:
         return None
     unsupported = float((found.by_colour[found.sure] < _LEAST_ODDS).mean()) if found.sure.any() else 0.0
-    return FoundMask(resized(found.mask, (width, height)), unsupported) if unsupported < _NOWHERE else None
+    return (resized(found.mask, (width, height)), unsupported) if unsupported < _NOWHERE else None
 
 
 def _by_colours(image: Image, colours: ColourModel) -> Float32:
