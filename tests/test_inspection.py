@@ -151,7 +151,7 @@ def test_published_layout_needs_a_camera(tmp_path: Path) -> None:
     assert "no such file; expected a camera file (--camera FILE)" in message(tmp_path)
     found = inspect_path(tmp_path, Options(camera=DEMO / "camera.yaml"))
     assert found.read["frames"] == ["0026"]
-    assert "its layout is found by looking" in found.notes
+    assert "frames in the published layout, a folder each" in found.notes
 
 
 def test_real_files_are_recognised(shared: Path) -> None:

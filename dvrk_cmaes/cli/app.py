@@ -200,9 +200,8 @@ def _removed(tokens: Sequence[str]) -> str | None:
 def _missing(error: CycloptsError, tokens: Sequence[str]) -> str | None:
     """Return the message for a required argument that is missing, or for files of an unquoted pattern; else None."""
     if isinstance(error, UnusedCliTokensError) and any(map(os.path.exists, error.unused_tokens or ())):
-        return (
-            f"expected one file or folder, got {(error.unused_tokens or [''])[0]} besides: quote a pattern: 'a/*.png'"
-        )
+        first = (error.unused_tokens or [""])[0]
+        return f"unexpected {first}: quote a pattern ('a/*.png'); of one frame, name it by --mask or --image"
     if not isinstance(error, MissingArgumentError) or error.argument is None:
         return None
     name = error.argument.name

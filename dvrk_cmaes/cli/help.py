@@ -41,8 +41,8 @@ def help_topic(topic: str | None = None, /, *, search: str | None = None) -> int
     if topic is not None and topic not in pages:
         from dvrk_cmaes.io.short_text import shown
 
-        names = ", ".join(nearest_first(topic[:60], pages))
-        raise InputError(f"help: expected one of the topics {names}, got {shown(topic[:40])}")
+        names = ", ".join(nearest_first(topic[:60], pages)[:3])
+        raise InputError(f"help: expected a topic of `dvrk-cmaes help`, such as {names}, got {shown(topic[:40])}")
     if search is not None:
         show(_lines_with(search, pages if topic is None else {topic: pages[topic]}))
     elif topic is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated
 
@@ -76,8 +77,11 @@ def inspect(
             between = [Line("")] if number else []
             notes = (Line(f"  rule: {text}", "dim") for text in found.notes)
             show([*between, Line(f"{file}: {found.kind}", "bold"), *(Line(f"  {t}") for t in found.lines), *notes])
+        alike: dict[str, list[str]] = {}
         for problem in found.problems:
-            print_error(problem)
+            alike.setdefault(re.sub(r"[0-9]+", "", problem.partition(": ")[2]), []).append(problem)
+        for first, *more in alike.values():
+            print_error(f"{first} (and {len(more)} more like this)" if more else first)
     if json:
         print(json_text(documents), end="")
     return code

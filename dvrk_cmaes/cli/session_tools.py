@@ -88,7 +88,7 @@ def _read_arm(
     """Load the instrument of an arm, and read the session with its own masks and readings, and its calibration."""
     from dvrk_cmaes.estimation.one_tool import FrameMethod
     from dvrk_cmaes.frames.overlays import OVERLAID, with_overlaid
-    from dvrk_cmaes.frames.session_folder import COUNTS_DIFFER, NO_READINGS, read_session
+    from dvrk_cmaes.frames.session_folder import NO_READINGS, WARNED, read_session
     from dvrk_cmaes.runs.frame import ArmInSession
 
     settings, named, own = given.settings(), given.instrument.instrument, tool.instrument
@@ -102,7 +102,7 @@ def _read_arm(
     if asked["joints"] is not None and NO_READINGS in session.notes:
         note(f"{folder}: no joints.csv, as with --joints none: {TWIN}")
     for text in session.notes:
-        if text.startswith((COUNTS_DIFFER, OVERLAID)):
+        if text.startswith((*WARNED, OVERLAID)):
             warn(f"{folder}: {text}")
     known = calibrated.read(body, given.instrument.arm, tool.arm)
     method = FrameMethod(given.instrument.arm or tool.kinematics or "classic", settings, known)

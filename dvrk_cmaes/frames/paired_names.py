@@ -20,6 +20,8 @@ _ADDED = re.compile(
 def paired(names: Iterable[str], others: Iterable[str]) -> dict[str, str]:
     """Pair names with others: equal ones, else those equal without an annotator's words, else those of equal numbers.
 
+    Where there are as many of either, one counted from 0 and the other from 1, they are paired in order.
+
     Parameters
     ----------
     names
@@ -33,6 +35,8 @@ def paired(names: Iterable[str], others: Iterable[str]) -> dict[str, str]:
         The other name by name; not of a name without one, or that several of either would pair with.
     """
     own, rest = list(names), dict.fromkeys(others)
+    if counted_apart(own, rest):
+        return dict(zip(sorted(own, key=_counted), sorted(rest, key=_counted), strict=True))
     found = {name: name for name in own if name in rest}
     for key in (_without_words, _number):
         if len(found) < len(own):
@@ -41,6 +45,13 @@ def paired(names: Iterable[str], others: Iterable[str]) -> dict[str, str]:
             free = _unique(key, (name for name in rest if name not in taken))
             found |= {name: free[each] for each, name in left.items() if each in free}
     return found
+
+
+def counted_apart(names: Iterable[str], others: Iterable[str]) -> bool:
+    """Whether there are as many names as others, at least three, and one are counted from 0, the others from 1."""
+    numbers, theirs = (sorted(map(_counted, of_either)) for of_either in (names, others))
+    counts = [*range(len(numbers))], [*range(1, len(numbers) + 1)]
+    return len(numbers) > 2 and (numbers, theirs) in (counts, counts[::-1])
 
 
 def with_names_of(
@@ -69,6 +80,12 @@ def with_names_of(
     return {met.get(name, name): path for name, path in masks.items()}
 
 
+def with_masks_beside(names: Iterable[str]) -> list[str]:
+    """List the first name that another one is without an annotator's words, and that one; none if there is no such."""
+    own = list(names)
+    return next(([name, same] for same in own if (name := _without_words(same)) != same and name in own), [])
+
+
 def _without_words(name: str) -> str:
     """Return a name without what annotators add to it."""
     while (shorter := _ADDED.sub("", name)) != name:
@@ -79,6 +96,11 @@ def _without_words(name: str) -> str:
 def _number(name: str) -> int | None:
     """Return the number that a name ends in without an annotator's words; None if it does not."""
     return number_of(_without_words(name))
+
+
+def _counted(name: str) -> int:
+    """Return the number that a name ends in, as of `_number`; -1 if it does not."""
+    return -1 if (number := _number(name)) is None else number
 
 
 def _unique(key: Callable[[str], Hashable], names: Iterable[str]) -> dict[Hashable, str]:

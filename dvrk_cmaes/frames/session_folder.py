@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -33,7 +33,7 @@ from dvrk_cmaes.frames.coco_mask import FILES, frames_of
 from dvrk_cmaes.frames.frame import FrameFiles, frame_size
 from dvrk_cmaes.frames.keypoints import Hints, read_boxes, read_keypoints
 from dvrk_cmaes.frames.own_files import check_own
-from dvrk_cmaes.frames.paired_names import paired, with_names_of
+from dvrk_cmaes.frames.paired_names import counted_apart, paired, with_masks_beside, with_names_of
 from dvrk_cmaes.frames.picture_fit import fitted
 from dvrk_cmaes.frames.published_layout import find_published_frames, is_published_layout
 from dvrk_cmaes.frames.session_toml import CameraEntry, ToolEntry, read_session_toml
@@ -49,12 +49,12 @@ from dvrk_cmaes.joints.rows import BY_THEMSELVES, JointFile, ReadAs, number_of
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.times import read_image_times, time_in_name
 
-COUNTS_DIFFER = "rows and frames differ in number"
-"""Beginning of the note of a session whose readings may be of more images than its frames."""
+WARNED = ("rows and frames differ in number", "paired in order", "masks without", "not read")
+"""Beginnings of the notes of a session that commands warn of: files that may be of other frames, or are not used."""
 
 NO_READINGS = "readings: none"
 
-UNCALIBRATED = "without a calibration: `dvrk-cmaes calibrate FOLDER`, and `dvrk-cmaes help uncalibrated`"
+UNCALIBRATED = "without a calibration: `dvrk-cmaes calibrate FOLDER`, with readings (`dvrk-cmaes help uncalibrated`)"
 """What to do where there is no camera file."""
 
 _DIGITS = 6  # of the name of a frame that is only numbered
@@ -65,6 +65,7 @@ _CAMERAS = (
     *(f"camera.{suffix}" for suffix in ("yaml", "yml", "xml", "json", "mat", "txt")),
     *("camera_info.yaml", "camera_calibration.txt", "calibration.yaml"),
 )
+_TABLES = ("images.csv", "keypoints.csv", "boxes.csv", "markers.csv", "poses.csv")
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 _TOPIC_DUMP = re.compile(r"(.*_)?(measured_js|state_joint_current|state_jaw_current)\.(csv|ya?ml|txt)", re.IGNORECASE)
 
@@ -357,6 +358,8 @@ def _pictures(root: Path, mask_folder: Path, views: Sequence[str], *, filmed: bo
         masks = of_views[0][0] = _masks_as_json(root, mask_folder)
         _refuse_annotations(root, mask_folder, masks)
     check_own(root, (path for kinds in of_views for of_kind in kinds for path in of_kind.values()))
+    if folders[1] == root and (both := with_masks_beside(of_views[0][1])):
+        raise InputError(f"{root}: expected folders images and masks, got both kinds in one: {listed(both)}")
     if not filmed and not any(files for kinds in of_views for files in kinds[:2]):
         raise InputError(f"{mask_folder}: expected masks (PNG or JPEG) of the frames, got {_other_files(mask_folder)}")
     return of_views
@@ -388,13 +391,15 @@ def _session_frames(
     of_views = _pictures(root, mask_folder, views, filmed=video is not None)
     _, images, ignore = of_views[0]
     sources = () if joints is None else joints or _joint_files(root)
-    tables = [root / name for name in ("images.csv", "keypoints.csv", "boxes.csv")]
+    tables = [root / name for name in _TABLES[:3]]
     check_own(root, [*tables, *(source for source in sources if isinstance(source, Path))])
     files = [
         source if isinstance(source, JointFile) else read_joint_file(source, known=known, read_as=read_as)
         for source in sources
     ]
     rows = dict.fromkeys(name for file in files if file.labels == "frame" for name in file.names)
+    of_kinds = {"masks": of_views[0][0], "rows of readings": rows}
+    apart = [f"{kind} {listed(names, 1)}" for kind, names in of_kinds.items() if counted_apart(names, images)]
     for kinds in of_views:
         kinds[0] = with_names_of(mask_folder, kinds[0], kinds[1], rows)
     masks = of_views[0][0]
@@ -410,6 +415,10 @@ def _session_frames(
         for name in sorted(set(films).union(*(files for kinds in of_views for files in kinds[:2])), key=natural)
     }
     files, remarks = _meeting(files, image_times, read_as)
+    if apart:
+        remarks.append(f"paired in order with as many images {listed(images, 1)}: {' and '.join(apart)}")
+    if unused := [*_unused(root, masks=not masks, joints=joints is not None and not files)]:
+        remarks.append(f"not read: {listed(unused)}: session.toml can name masks and joints of other names")
     if images and (alone := [name for name in masks if name not in images and name not in rows]):
         remarks.append(f"masks without an image or a row of readings: {listed(alone)}")
     frames, farthest = [], None
@@ -443,6 +452,15 @@ def _session_frames(
             f"readings interpolated to the images' times, from at most {away:.3g} s away ({most:g} s are allowed)"
         )
     return tuple(frames), tuple(files), image_times, (*notes, *remarks)
+
+
+def _unused(root: Path, *, masks: bool, joints: bool) -> Iterator[str]:
+    """Yield what a session folder has under other names than those that are read: of masks, and of readings."""
+    for path in sorted(root.iterdir()):
+        pictures = path.is_dir() and any(inner.suffix.lower() in _IMAGE_SUFFIXES for inner in path.iterdir())
+        of_masks = (pictures or path.suffix == ".json") and path.name not in ("images", "ignore", "golden.json")
+        if (masks and of_masks) or (joints and path.suffix.lower() == ".csv" and path.name not in _TABLES):
+            yield path.name
 
 
 def _filmed(video: Video, files: Sequence[JointFile], masks: Sequence[str]) -> dict[str, VideoFrame]:
@@ -501,8 +519,10 @@ def _meeting(
         if file.labels == "message" or (file.timed and any(time is not None for time in image_times.values())):
             met.append(file)
             continue
-        if read_as.offset is not None:
-            met.append(file.by_number(frames, read_as.offset, read_as.step))
+        apart = file.labels == "number" and counted_apart(frames, file.names)
+        offset = (1 if number_of(frames[0]) == 0 else -1) if apart and read_as.offset is None else read_as.offset
+        if offset is not None:
+            met.append(file.by_number(frames, offset, read_as.step))
             continue
         labels = list(file.names)
         if file.labels == "frame":
@@ -519,7 +539,7 @@ def _meeting(
         counted = numbers in (list(range(len(frames))), list(range(1, len(frames) + 1)))
         if counted and len(common) == len(frames) >= _COUNTED and len(labels) >= _MANY * len(frames):
             remarks.append(
-                f"{COUNTS_DIFFER}: {len(frames)} frames have the names of the first of {len(labels)} rows of "
+                f"{WARNED[0]}: {len(frames)} frames have the names of the first of {len(labels)} rows of "
                 f"{Path(file.path).name}; if they are every N-th image, say --frame-offset 0 --frame-step N"
             )
         met.append(file)

@@ -29,7 +29,7 @@ from dvrk_cmaes.frames.images import read_ignore, read_image, read_mask
 from dvrk_cmaes.frames.keypoints import read_boxes, read_keypoints
 from dvrk_cmaes.frames.markers import read_detections
 from dvrk_cmaes.frames.published_layout import is_published_layout
-from dvrk_cmaes.frames.session_folder import Session, read_session
+from dvrk_cmaes.frames.session_folder import WARNED, Session, read_session
 from dvrk_cmaes.frames.session_toml import ToolEntry, read_session_toml
 from dvrk_cmaes.frames.truth import read_golden
 from dvrk_cmaes.frames.video_frames import Video
@@ -398,14 +398,14 @@ def _inspect_video(path: Path) -> Finding:
     if width >= _BOTH_EYES * height or width < _STACKED * height:
         layout = "side-by-side" if width > height else "top-bottom"
         notes.append(f"of this shape it may show both eyes: then give --layout {layout}")
-    names = ("camera.yaml", "joints.csv")
-    if all((path.parent / name).is_file() for name in names):
+    folder, masks = path.parent, path.parent / "masks"
+    if (folder / "camera.yaml").is_file() and (folder / "joints.csv").is_file() and not masks.is_dir():
         lines += ["taken for a recording: camera.yaml and joints.csv are in its folder", _next_command("track", path)]
     else:
-        lines += [
-            "a camera file is needed, and readings",
-            _next_command("import", path, "--camera", "camera.yaml", "--joints", "joints.csv", "--out", "session"),
-        ]
+        beside = {name: folder / name if (folder / name).exists() else name for name in ("camera.yaml", "joints.csv")}
+        own = ["--camera", beside["camera.yaml"], "--joints", beside["joints.csv"]]
+        words = [*own, *(["--masks", masks] if masks.is_dir() else []), "--out", "session"]
+        lines += ["a camera file is needed, and readings", _next_command("import", path, *words)]
     read = {"width": width, "height": height, "images": count, "rate": rate}
     return Finding("video", tuple(lines), read, tuple(notes))
 
@@ -418,7 +418,10 @@ def _inspect_folder(path: Path, options: Options) -> Finding:
         words = ("import", path, "--episode", 0, "--camera", "camera.yaml", "--out", "session")
         return Finding("LeRobot data set", ("no camera file: --camera is needed", _next_command(*words)))
     pictures = [p for p in sorted(path.iterdir()) if p.suffix.lower() in _PICTURES and not p.name.startswith(".")]
-    subfolders = any((path / name).exists() for name in ("masks", "images", "session.toml"))
+    videos = [file for file in path.iterdir() if file.suffix.lower() in _VIDEOS and file.name != "video.mp4"]
+    if len(videos) == 1 and not pictures and not (path / "images").exists():
+        return _inspect_video(videos[0])
+    subfolders = any((path / name).exists() for name in ("masks", "images", "session.toml", "camera.yaml"))
     if pictures and not subfolders and not is_published_layout(path):
         return _inspect_pictures(path, pictures)
     return _inspect_session(path, options)
@@ -440,10 +443,10 @@ def _inspect_pictures(path: Path, pictures: Sequence[Path]) -> Finding:
         f"{counted(len(pictures), 'picture')}: {listed(picture.stem for picture in pictures)}",
         *(f"{number} of {len(pictures)}: {kind}" for kind, number in kinds.most_common()),
         *([f"skipped: {listed(skipped)}"] if skipped else []),
+        *([_next_command("batch", path, "--camera", "camera.yaml")] if "image" in str(kinds.keys()) else []),
     )
     read = {"pictures": [picture.stem for picture in pictures], "kinds": dict(kinds), "skipped": skipped}
-    notes = ("the kind of each picture follows from its pixels",)
-    return Finding("folder of pictures", lines, read, notes, tuple(problems))
+    return Finding("folder of pictures", lines, read, (), tuple(problems))
 
 
 def _inspect_session(path: Path, options: Options) -> Finding:
@@ -474,8 +477,8 @@ def _of_arm(session: Session, instrument: str | None) -> Finding:
     """Describe a session of one arm, with the instrument that session.toml names."""
     frames = session.frames
     with ThreadPoolExecutor() as threads:
-        refused = [*threads.map(partial(_problem, camera=session.rig), frames)]
-    problems = {frame.name: problem for frame, problem in zip(frames, refused, strict=True) if problem is not None}
+        opened = [*threads.map(partial(_opened, camera=session.rig), frames)]
+    problems = {frame.name: found for frame, found in zip(frames, opened, strict=True) if isinstance(found, str)}
     parts = {
         "masks": sum(frame.mask is not None for frame in frames),
         "images": sum(frame.image is not None for frame in frames),
@@ -484,37 +487,39 @@ def _of_arm(session: Session, instrument: str | None) -> Finding:
         "jaw tips": sum(frame.keypoints is not None for frame in frames),
         "truth": len(session.truth.frames),
     }
-    camera = session.camera
+    camera, joints = session.camera, dict.fromkeys(name for frame in frames for name in frame.readings)
     lines = [
         f"{counted(len(frames), 'frame')}: {listed(frame.name for frame in frames)}",
         f"of these with {', '.join(f'{name} {count}' for name, count in parts.items())}",
+        *([f"joints read, in rad (insertion: m): {', '.join(joints)}"] if joints else []),
         *(note for note in session.notes if note.startswith(_DESCRIPTIONS)),
         f"camera {camera.width} x {camera.height} px, focal lengths {camera.fx:.3f} and {camera.fy:.3f} px",
         *_clock(session),
         *session.rig.remarks,
+        *(note for note in session.notes if note.startswith(WARNED)),
         f"instrument {instrument or 'lnd, assumed: session.toml names none (--instrument)'}",
         _next(session),
     ]
-    rules = [note for note in session.notes if not note.startswith(_DESCRIPTIONS)]
-    rules += dict.fromkeys(note for frame in frames for note in frame.notes if note not in session.notes)
+    found = (note for notes in opened if not isinstance(notes, str) for note in notes)
+    other = ("a session folder", *_DESCRIPTIONS, *WARNED)
+    rules = dict.fromkeys(note for note in (*session.notes, *found) if not note.startswith(other))
     read = {
         "frames": [frame.name for frame in frames],
         "counts": parts,
         "problems": problems,
         "remarks": session.rig.remarks,
     }
-    return Finding("session", tuple(lines), read, ("its layout is found by looking", *rules[1:]), (*problems.values(),))
+    return Finding("session", tuple(lines), read, tuple(rules), (*problems.values(),))
 
 
-def _problem(frame: FrameFiles, camera: Rig) -> str | None:
-    """Say why a frame's masks and images are refused, such as an empty mask; None if they are read. Videos are not."""
-    if frame.problem is not None or frame.video is not None:
-        return frame.problem
+def _opened(frame: FrameFiles, camera: Rig) -> str | tuple[str, ...]:
+    """Say why a frame's masks and images are refused, such as an empty mask; notes if they are read. Videos are not."""
+    if frame.video is not None:
+        return frame.problem or frame.notes
     try:
-        read_frame(frame, camera)
+        return read_frame(frame, camera).notes
     except InputError as error:
         return str(error)
-    return None
 
 
 def _clock(session: Session) -> list[str]:

@@ -260,8 +260,8 @@ def _row_of(file: JointFile, frame: str, *, single: bool) -> tuple[int | None, t
         note = f"frame {frame} is taken for row {label} of {Path(file.path).name}, by its number"
         return file.names.get(label), (note,) if label in file.names else ()
     raise InputError(
-        f"{file.path}: frame {frame}: expected the image's time (images.csv, or --time), to find its readings among "
-        f"{len(file.values)} without a frame's name"
+        f"{file.path}: frame {frame}: expected a column frame, or the image's time (images.csv of a session, --time of "
+        f"one frame; of a video, `dvrk-cmaes import`), to find its row among {len(file.values)}"
     )
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.session_folder import UNCALIBRATED
 from dvrk_cmaes.recording.bag import open_bag
 from dvrk_cmaes.recording.lerobot import is_lerobot, open_lerobot
 from dvrk_cmaes.recording.recording import Asked, Recording
@@ -61,8 +60,8 @@ def open_recording(path: Path, asked: Asked) -> Iterator[Recording]:
     """
     reader = next(reader for reader in READERS if reader.knows(path))
     if reader.open is open_video and path.is_dir():
-        said = f"expected a recording, got a folder: one of pictures or a session needs no import; {UNCALIBRATED}"
-        raise InputError(f"{path}: {said}")
+        said = "one of pictures or a session needs no import: `dvrk-cmaes batch FOLDER` takes it"
+        raise InputError(f"{path}: expected a recording, got a folder: {said}")
     for name in dict.fromkeys(" ".join(other.takes for other in READERS).split()):
         if getattr(asked, name) != getattr(Asked(), name) and name not in reader.takes.split():
             option = _OPTIONS.get(name, f"--{name.replace('_', '-')}")

@@ -105,9 +105,8 @@ def test_lines_and_messages_are_wrapped_on_terminals_alone(monkeypatch: pytest.M
 
 def test_unknown_topic_is_refused_with_nearest_name(capsys: pytest.CaptureFixture[str]) -> None:
     refusal = run_command(capsys, "help", "setings").refusal
-    assert refusal.startswith("help: expected one of the topics settings, ")
+    assert refusal.startswith("help: expected a topic of `dvrk-cmaes help`, such as settings, ")
     assert refusal.endswith(", got 'setings'")
-    assert all(topic in refusal for topic in TOPICS)
 
 
 def test_text_is_found_in_the_pages(capsys: pytest.CaptureFixture[str]) -> None:

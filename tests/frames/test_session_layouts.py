@@ -79,8 +79,8 @@ def test_image_outside_recording_is_unusable(folder: Path) -> None:
         None,
         f"{folder / 'joints.csv'}: frame 0001: jaw: expected readings before and after the image's time 10.050 s, "
         "within 0.05 s, got the nearest 0.010 s away",
-        f"{folder / 'joints.csv'}: frame 0002: expected the image's time (images.csv, or --time), to find its "
-        "readings among 2 without a frame's name",
+        f"{folder / 'joints.csv'}: frame 0002: expected a column frame, or the image's time (images.csv of a session, "
+        "--time of one frame; of a video, `dvrk-cmaes import`), to find its row among 2",
     ]
     (folder / "images.csv").write_text("frame,time\n0000,20.02\n")
     with pytest.raises(InputError, match="frame 0000: jaw: expected readings before and after"):

@@ -96,13 +96,15 @@ def test_plain_picture_is_a_session_without_readings(tmp_path: Path, quick: Path
 def test_pattern_that_the_shell_expanded_is_to_be_quoted(tmp_path: Path) -> None:
     pictures = [DEMO / "images" / name for name in ("0001.jpg", "0003.jpg")]
     refusal = run("batch", *pictures, "--camera", DEMO / "camera.yaml", "--out", tmp_path / "out").refusal
-    assert "0003.jpg besides: quote a pattern: 'a/*.png'" in refusal
+    assert "unexpected" in refusal
+    assert "0003.jpg: quote a pattern ('a/*.png')" in refusal
+    assert "by --mask or --image" in run("estimate", DEMO / "masks" / "0001.png").refusal
 
 
 def test_instrument_by_a_number_that_is_not_bundled_names_the_option_that_finds_it(tmp_path: Path) -> None:
     mask = DEMO / "masks" / "0001.png"
     refusal = run("estimate", "--mask", mask, "--camera", DEMO / "camera.yaml", "--instrument", 400181).refusal
-    assert "others by number: --description" in refusal
+    assert "others by number: `estimate --description`" in refusal
 
 
 def test_camera_that_is_missing_says_what_to_do(tmp_path: Path) -> None:
@@ -114,7 +116,8 @@ def test_camera_that_is_missing_says_what_to_do(tmp_path: Path) -> None:
 
     assert said(run("batch", tmp_path, "--out", tmp_path / "out"))
     assert said(run("estimate", "--image", picture, "--out", tmp_path / "out"))
-    assert said(run("import", DEMO / "images", "--out", tmp_path / "out"))
+    refusal = run("import", DEMO / "images", "--camera", DEMO / "camera.yaml", "--out", tmp_path / "out").refusal
+    assert "needs no import: `dvrk-cmaes batch FOLDER` takes it" in refusal
 
 
 def demo_as(folder: Path, mask: str, image: str = "{:04d}.jpg", row: str = "{:04d}") -> Path:
@@ -161,3 +164,73 @@ def test_masks_that_pair_with_no_image_are_named_and_two_of_one_image_refused(tm
     assert "masks without an image or a row of readings: other_77" in run("inspect", folder).out
     (folder / "masks" / "3.png").write_bytes(mask)
     assert "3.png: expected one mask for image 0003, got several" in run("inspect", folder).refusal
+
+
+@pytest.mark.parametrize(("mask", "image", "row"), [(0, 1, 0), (1, 0, 0), (0, 0, 1)])
+def test_as_many_files_counted_from_0_and_from_1_are_paired_in_order(
+    tmp_path: Path, mask: int, image: int, row: int
+) -> None:
+    names = [[f"{k + first:05d}" for k in range(5)] for first in (mask, image, row)]
+    for kind, of_kind in zip(("masks", "images"), names, strict=False):
+        (tmp_path / kind).mkdir()
+        for path, name in zip(sorted((DEMO / kind).iterdir()), of_kind, strict=True):
+            shutil.copy(path, tmp_path / kind / f"{name}{path.suffix}")
+    shutil.copy(DEMO / "camera.yaml", tmp_path)
+    head, *rows = (DEMO / "joints.csv").read_text().splitlines()
+    named = [f"{name},{line.partition(',')[2]}" for name, line in zip(names[2], rows, strict=True)]
+    (tmp_path / "joints.csv").write_text("\n".join([head, *named]) + "\n")
+    session = read_session(tmp_path)
+    assert [frame.name for frame in session.frames] == names[1]
+    for frame, same in zip(session.frames, read_session(DEMO).frames, strict=True):
+        assert frame.readings == same.readings
+        assert frame.mask is not None
+        assert same.mask is not None
+        assert frame.mask.read_bytes() == same.mask.read_bytes()
+    assert f"paired in order with as many images {names[1][0]}, ..." in run("inspect", tmp_path).out
+
+
+def test_masks_and_readings_of_other_names_are_named(tmp_path: Path) -> None:
+    folder = demo_as(tmp_path, "{:04d}.png")
+    (folder / "masks").rename(folder / "SegmentationClass")
+    (folder / "joints.csv").rename(folder / "kinematics.csv")
+    ran = run("inspect", folder)
+    assert "of these with masks 0, images 5, readings 0" in ran.out
+    assert "not read: SegmentationClass, kinematics.csv: session.toml can name" in ran.out
+    toml = '[[tool]]\narm = "PSM1"\nmasks = "SegmentationClass"\njoints = "kinematics.csv"\n'
+    (folder / "session.toml").write_text(toml)
+    ran = run("inspect", folder)
+    assert "with masks 5, images 5, readings 5" in ran.out
+    assert "not read" not in ran.out
+
+
+def test_images_and_their_masks_in_one_folder_are_refused(tmp_path: Path) -> None:
+    for k in range(3):
+        shutil.copy(DEMO / "images" / f"{k:04d}.jpg", tmp_path)
+        shutil.copy(DEMO / "masks" / f"{k:04d}.png", tmp_path / f"{k:04d}_mask.png")
+    refusal = run("batch", tmp_path, "--camera", DEMO / "camera.yaml", "--out", tmp_path / "out").refusal
+    assert "expected folders images and masks, got both kinds in one: 0000, 0000_mask" in refusal
+
+
+def test_refused_masks_of_one_reason_are_one_line_and_other_sizes_are_said(tmp_path: Path) -> None:
+    folder = demo_as(tmp_path, "{:04d}.png")
+    for path in (folder / "masks").iterdir():
+        cv2.imwrite(str(path), 255 - cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+    ran = run("inspect", folder)
+    assert ran.code == 3
+    assert "0000.png: mask is inverted" in ran.err
+    assert ran.err.endswith("(and 4 more like this)\n")
+    assert ran.err.count("\n") == 1
+    for path in [*(folder / "masks").iterdir(), *(folder / "images").iterdir()]:
+        picture = cv2.imread(str(path).replace(str(folder), str(DEMO)))
+        cv2.imwrite(str(path), cv2.resize(picture, (320, 240), interpolation=cv2.INTER_NEAREST))
+    ran = run("inspect", folder)
+    assert ran.code == 0
+    assert "the mask is 320 x 240, the calibration 640 x 480: intrinsics rescaled by 0.5" in ran.out
+
+
+def test_video_beside_its_masks_is_to_be_imported_with_them(video: list[object], tmp_path: Path) -> None:
+    (tmp_path / "masks").mkdir()
+    cv2.imwrite(str(tmp_path / "masks" / "1.png"), mask(1))
+    said = run("inspect", tmp_path).out
+    assert f"next: dvrk-cmaes import {tmp_path}/v.avi --camera {tmp_path}/camera.yaml --joints" in said
+    assert f"--masks {tmp_path}/masks" in said
