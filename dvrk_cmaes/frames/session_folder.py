@@ -398,8 +398,8 @@ def _session_frames(
         for source in sources
     ]
     rows = dict.fromkeys(name for file in files if file.labels == "frame" for name in file.names)
-    of_kinds = {"masks": of_views[0][0], "rows of readings": rows}
-    apart = [f"{kind} {listed(names, 1)}" for kind, names in of_kinds.items() if counted_apart(names, images)]
+    of_kinds, like = {"masks": of_views[0][0], "rows of readings": rows}, images or of_views[0][0]
+    apart = [f"{kind} {listed(names, 1)}" for kind, names in of_kinds.items() if counted_apart(names, like)]
     for kinds in of_views:
         kinds[0] = with_names_of(mask_folder, kinds[0], kinds[1], rows)
     masks = of_views[0][0]
@@ -416,7 +416,7 @@ def _session_frames(
     }
     files, remarks = _meeting(files, image_times, read_as)
     if apart:
-        remarks.append(f"paired in order with as many images {listed(images, 1)}: {' and '.join(apart)}")
+        remarks.append(f"paired in order with as many files {listed(like, 1)}: {' and '.join(apart)}")
     if unused := [*_unused(root, masks=not masks, joints=joints is not None and not files)]:
         remarks.append(f"not read: {listed(unused)}: session.toml can name masks and joints of other names")
     if images and (alone := [name for name in masks if name not in images and name not in rows]):

@@ -186,7 +186,7 @@ def test_as_many_files_counted_from_0_and_from_1_are_paired_in_order(
         assert frame.mask is not None
         assert same.mask is not None
         assert frame.mask.read_bytes() == same.mask.read_bytes()
-    assert f"paired in order with as many images {names[1][0]}, ..." in run("inspect", tmp_path).out
+    assert f"paired in order with as many files {names[1][0]}, ..." in run("inspect", tmp_path).out
 
 
 def test_masks_and_readings_of_other_names_are_named(tmp_path: Path) -> None:
