@@ -15,27 +15,16 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from fuzzing.runs import DONE, Report, Runner
+from fuzzing.runs import DONE, FRAME, LINES, Report, Runner
 
-_QUICK: Final = ("--config", "quick.toml")
 _OUT: Final = "made"
+_SYNTH: Final = ("synth", "--frames", "1", "--no-images")
 COMMANDS: Final[dict[str, tuple[str, ...]]] = {
-    "batch": ("batch", "session", *_QUICK, "--workers", "1", "--out"),
-    "batch --overwrite": ("batch", "session", *_QUICK, "--workers", "1", "--overwrite", "--out"),
-    "calibrate": ("calibrate", "session", *_QUICK, "--workers", "1", "--results", "results", "--out"),
-    "track": ("track", "session", *_QUICK, "--out"),
-    "segment": ("segment", "session", "--out"),
-    "synth": ("synth", "--frames", "1", "--no-images"),
-    "synth --overwrite": ("synth", "--frames", "1", "--no-images", "--overwrite"),
-    "import": ("import", "video.avi", "--camera", "session/camera.yaml", "--joints", "times.csv", "--out"),
-    "import --overwrite": (
-        *("import", "video.avi", "--camera", "session/camera.yaml", "--joints", "times.csv", "--overwrite", "--out"),
-    ),
-    "estimate": (
-        *("estimate", "--image", "session/images/0000.jpg", "--camera", "session/camera.yaml"),
-        *("--joints", "session/joints.csv", *_QUICK, "--out"),
-    ),
-    "export": ("export", "results", "--to", "csv", "--out"),
+    **{name: (*line, "--out") for name, line in LINES.items()},
+    **{f"{name} --overwrite": (*LINES[name], "--overwrite", "--out") for name in ("batch", "import")},
+    "synth": _SYNTH,
+    "synth --overwrite": (*_SYNTH, "--overwrite"),
+    "estimate": (*FRAME, "--image", "session/images/0000.jpg", "--out"),
 }
 """Command lines without the folder, which is the last word."""
 

@@ -24,29 +24,27 @@ from typing import Any, Final
 
 import psutil
 
-from fuzzing.runs import DONE, SHOWN, Report, damaged_files, fresh_copy, written
+from fuzzing.runs import DONE, FRAME, LINES, QUICK, SHOWN, Report, damaged_files, fresh_copy, written
 
 Line = tuple[str, ...]
 
-_QUICK: Final = ("--config", "quick.toml")
-_VIDEO: Final = ("import", "video.avi", "--camera", "session/camera.yaml", "--joints", "times.csv", "--overwrite")
 _MADE: Final = ("--out", "made")
-_FRAME: Final = ("estimate", "--mask", "session/masks/0000.png", "--camera", "session/camera.yaml")
+_VIDEO: Final = (*LINES["import"], "--overwrite", *_MADE)
 COMMANDS: Final[dict[str, Line]] = {
-    "batch": ("batch", "session", *_QUICK, "--workers", "2", *_MADE),
-    "calibrate": ("calibrate", "session", *_QUICK, "--workers", "2", "--results", "results", *_MADE),
-    "track": ("track", "session", *_QUICK, *_MADE),
-    "import": (*_VIDEO, *_MADE),
-    "estimate": (*_FRAME, "--joints", "session/joints.csv", *_QUICK, *_MADE),
-    "export": ("export", "results", "--to", "csv", *_MADE),
-    "golden record": ("golden", "record", "session", *_QUICK, "--overwrite"),
+    "batch": ("batch", "session", *QUICK, "--workers", "2", *_MADE),
+    "calibrate": ("calibrate", "session", *QUICK, "--workers", "2", "--results", "results", *_MADE),
+    "track": (*LINES["track"], *_MADE),
+    "import": _VIDEO,
+    "estimate": (*FRAME, "--mask", "session/masks/0000.png", *_MADE),
+    "export": (*LINES["export"], *_MADE),
+    "golden record": ("golden", "record", "session", *QUICK, "--overwrite"),
 }
 """Command lines, run in the folder of the material; the last one writes session/golden.json, the others ``made``."""
 
 _SOLVE: Final = ("calibrate", "session", "--workers", "1", "--results", "results", *_MADE, "--config")
 REPLACING: Final[dict[str, tuple[Line, Line]]] = {
-    "segment": (("segment", "session", *_MADE), ("segment", "session", *_MADE, "--box", "20,20,150,110")),
-    "import": ((*_VIDEO, *_MADE), (*_VIDEO, *_MADE, "--every", "2")),
+    "segment": ((*LINES["segment"], *_MADE), (*LINES["segment"], *_MADE, "--box", "20,20,150,110")),
+    "import": (_VIDEO, (*_VIDEO, "--every", "2")),
     "calibrate": ((*_SOLVE, "quick.toml"), (*_SOLVE, "other.toml")),
 }
 """Two command lines each that make different files in the same folder."""

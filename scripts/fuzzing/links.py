@@ -14,18 +14,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from fuzzing.runs import Report, Runner
+from fuzzing.runs import LINES, QUICK, Report, Runner
 
-_QUICK: Final = ("--config", "quick.toml")
 _SESSION, _BESIDE = "session", "beside"
 COMMANDS: Final = (
-    ("batch", _SESSION, *_QUICK, "--workers", "1"),
-    ("calibrate", _SESSION, *_QUICK, "--workers", "1", "--results", "results"),
-    ("track", _SESSION, *_QUICK),
-    ("segment", _SESSION),
+    *(LINES[name] for name in ("batch", "calibrate", "track", "segment")),
     ("import", _SESSION, "--out", "made"),
     ("pnp", _SESSION),
-    ("golden", "record", _SESSION, *_QUICK),
+    ("golden", "record", _SESSION, *QUICK),
     ("inspect", _SESSION),
 )
 _OWN: Final = {

@@ -17,14 +17,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from dvrk_cmaes.io.output import HELD, RUN
-from fuzzing.runs import DONE, SHOWN, Report, damaged_files, fresh_copy, written
+from fuzzing.runs import DONE, FRAME, LINES, SHOWN, Report, damaged_files, fresh_copy, written
 
-_QUICK: Final = ("--config", "quick.toml")
-_FRAME: Final = ("estimate", "--camera", "session/camera.yaml", "--joints", "session/joints.csv", *_QUICK, "--mask")
-_BATCH: Final = ("batch", "session", *_QUICK, "--workers", "1")
-_CALIBRATE: Final = ("calibrate", "session", *_QUICK, "--workers", "1", "--results", "results")
-_TRACK: Final = ("track", "session", *_QUICK)
-_IMPORT: Final = ("import", "video.avi", "--camera", "session/camera.yaml", "--joints", "times.csv")
+_FIRST, _SECOND = ((*FRAME, "--mask", f"session/masks/{name}.png") for name in ("0000", "0001"))
+_EXPORT, _IMPORT, _OVER = LINES["export"], LINES["import"], (*LINES["import"], "--overwrite")
 _OUT: Final = "made"
 
 
@@ -39,15 +35,13 @@ class Pair:
 
 
 PAIRS: Final[dict[str, Pair]] = {
-    "estimate of two frames": Pair((*_FRAME, "session/masks/0000.png"), (*_FRAME, "session/masks/0001.png"), 4, True),
-    "estimate of a frame": Pair((*_FRAME, "session/masks/0000.png"), (*_FRAME, "session/masks/0000.png"), 3, True),
-    "export of two kinds": Pair(("export", "results", "--to", "csv"), ("export", "results", "--to", "bop"), 4, True),
-    "export": Pair(("export", "results", "--to", "csv"), ("export", "results", "--to", "csv"), 2, True),
+    "estimate of two frames": Pair(_FIRST, _SECOND, 4, True),
+    "estimate of a frame": Pair(_FIRST, _FIRST, 3, True),
+    "export of two kinds": Pair(_EXPORT, (*_EXPORT[:-1], "bop"), 4, True),
+    "export": Pair(_EXPORT, _EXPORT, 2, True),
     "import": Pair(_IMPORT, _IMPORT, 2),
-    "import --overwrite": Pair((*_IMPORT, "--overwrite"), (*_IMPORT, "--overwrite"), 2),
-    "batch": Pair(_BATCH, _BATCH),
-    "calibrate": Pair(_CALIBRATE, _CALIBRATE),
-    "track": Pair(_TRACK, _TRACK),
+    "import --overwrite": Pair(_OVER, _OVER, 2),
+    **{name: Pair(LINES[name], LINES[name]) for name in ("batch", "calibrate", "track")},
 }
 """Commands that are started together, by name; each writes to the same folder."""
 

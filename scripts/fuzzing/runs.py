@@ -29,6 +29,18 @@ from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.runs.pool import Pool
 
+QUICK: Final = ("--config", "quick.toml")
+FRAME: Final = ("estimate", "--camera", "session/camera.yaml", "--joints", "session/joints.csv", *QUICK)
+LINES: Final[dict[str, tuple[str, ...]]] = {
+    "batch": ("batch", "session", *QUICK, "--workers", "1"),
+    "calibrate": ("calibrate", "session", *QUICK, "--workers", "1", "--results", "results"),
+    "track": ("track", "session", *QUICK),
+    "segment": ("segment", "session"),
+    "import": ("import", "video.avi", "--camera", "session/camera.yaml", "--joints", "times.csv"),
+    "export": ("export", "results", "--to", "csv"),
+}
+"""Command lines, run in the folder of the material, without the folder that they write to."""
+
 DONE: Final = (0, 3)
 """Exit codes of commands that did what they were asked for."""
 

@@ -161,11 +161,6 @@ def _enlarged(mask: Bool, rng: Random, share: float | None = None) -> Bool:
     return np.asarray(cv2.resize(cut, (width, height), interpolation=cv2.INTER_LINEAR) > 0.5)
 
 
-def _wider(mask: Bool, _: Random) -> Bool:
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
-    return np.asarray(cv2.dilate(mask.astype(np.uint8), disc) > 0)
-
-
 def _masks(change: Callable[[Bool, Random], Bool]) -> Callable[[Copy, Random], bool | None]:
     return lambda copy, rng: copy.masks(lambda mask, _: change(mask, rng))
 
@@ -363,7 +358,7 @@ FALSIFIED: Final[Mapping[str, Callable[[Copy, Random], bool | None]]] = {
     "mirrored mask": _masks(lambda mask, _: np.ascontiguousarray(mask[:, ::-1])),
     "cropped and rescaled mask": _masks(_enlarged),
     "corner cropped, resized back": _masks(lambda mask, rng: _enlarged(mask, rng, 0.75)),
-    "mask 3 px wide": _masks(_wider),
+    "mask 3 px wide": _changed(cv2.MORPH_DILATE, 3),
     "readings 60 deg off": _readings_off,
     "wrist columns exchanged": _wrist("wrist_yaw", "wrist_pitch", 1.0),
     "focal length 15 % long": _camera(_scaled(1.15, 1.15)),

@@ -22,9 +22,10 @@ from dvrk_cmaes import (
     SolvedSession,
     calibrate_session,
 )
+from dvrk_cmaes.config import SessionConfig
 
-ROUGH = EstimateConfig()
-"""Settings for tests of the checks before the frames' outlines are used: a single alternation."""
+ROUGH = EstimateConfig(session=SessionConfig(test_camera=False))
+"""Settings for tests of other things than the camera."""
 
 
 @dataclass(frozen=True)
@@ -73,12 +74,12 @@ def made(bundled_body: Body) -> Made:
 
 def test_scatter_of_the_readings_is_estimated_by_joint(bundled_body: Body) -> None:
     frames, rng = make_frames_in_memory(bundled_body, 10, level="clean")[2], np.random.default_rng(0)
-    rough = []
+    noised = []
     for frame in frames:
         readings = dict(frame.result.readings)
         readings["wrist_yaw"] += np.radians(12) * rng.standard_normal()
-        rough.append(with_result(frame, readings=readings))
-    plain, noisy = (calibrate_session(each, bundled_body).calibration.spreads for each in (frames, rough))
+        noised.append(with_result(frame, readings=readings))
+    plain, noisy = (rough(bundled_body, each).calibration.spreads for each in (frames, noised))
     assert noisy["wrist_yaw"] > 2 * plain["wrist_yaw"]
     assert noisy["wrist_pitch"] < 1.5 * plain["wrist_pitch"]
     assert np.degrees(plain["wrist_yaw"]) < 3.0  # those of the level are exact
@@ -89,7 +90,7 @@ def test_frames_near_each_other_in_time_tell_less_as_their_masks_err_alike(bundl
 
     def std(interval: float) -> np.ndarray:
         timed = [replace(frame, time=k * interval) for k, frame in enumerate(frames)]
-        return np.sqrt(np.diag(calibrate_session(timed, bundled_body).calibration.covariance)[:6])
+        return np.sqrt(np.diag(rough(bundled_body, timed).calibration.covariance)[:6])
 
     assert (std(0.03) > 1.4 * std(3.0)).all()
 

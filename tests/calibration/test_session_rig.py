@@ -23,13 +23,14 @@ from dvrk_cmaes import (
     estimate,
 )
 from dvrk_cmaes.camera.rig_files import read_rig
+from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.runs.calibrate_folder import write_cameras
 
 RIGHT_FROM_LEFT = transform(np.eye(3), [-0.0053, 0.0, 0.0])
 RIG = Rig.stereo(SMALL, SMALL, RIGHT_FROM_LEFT)
 TURN = np.array([0.3, 0.0, 0.0])  # deg
 FILE = Rig((RIG.views[0], RIG.views[1].turned(-np.deg2rad(TURN))))  # what the file says of a right eye that is turned
-SETTINGS = EstimateConfig()
+SETTINGS = EstimateConfig(session=SessionConfig(test_camera=False))
 
 
 @pytest.fixture(scope="module")
