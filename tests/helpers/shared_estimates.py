@@ -6,10 +6,12 @@ For tests whose subject is what is done with results: an estimate takes some 0.4
 from __future__ import annotations
 
 import hashlib
+import os
 import pickle
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -19,20 +21,26 @@ from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.runs import frame as frames
 from dvrk_cmaes.runs.manifest import instrument_digest
 
-_KNOWN: dict[str, Result] = {}
-
 
 @contextmanager
 def shared_estimates() -> Iterator[None]:
-    """Let frames that were estimated in this process with the same inputs and settings have the same result again."""
+    """Let frames that were estimated in this run of tests with the same inputs and settings have the same result again.
+
+    Results are kept beside the tests' cache of instruments, which all processes of pytest-xdist share.
+    """
     estimate_views = frames.estimate_views
 
     def estimated(views: Any, readings: Any, body: Body, method: FrameMethod, **options: Any) -> Result:
         given = pickle.dumps((views, dict(readings), body.method, method, sorted(options.items())))
         key = instrument_digest(body.instrument) + hashlib.sha256(given).hexdigest()
-        if key not in _KNOWN:
-            _KNOWN[key] = estimate_views(views, readings, body, method, **options)
-        return _KNOWN[key]
+        kept = Path(os.environ["DVRK_CMAES_CACHE"]).with_name("estimates") / key
+        if not kept.exists():
+            kept.parent.mkdir(exist_ok=True)
+            made = kept.with_suffix(f".{os.getpid()}")
+            made.write_bytes(pickle.dumps(estimate_views(views, readings, body, method, **options)))
+            made.replace(kept)
+        result: Result = pickle.loads(kept.read_bytes())
+        return result
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(frames, "estimate_views", estimated)
