@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError, Future
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, suppress
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -15,10 +16,10 @@ from dvrk_cmaes.live.connection import Report
 from dvrk_cmaes.results.tracked import TrackResult
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.live.follow import FollowedArm
+    from dvrk_cmaes.live.follow import ArmSetup, FollowedArm
 
-Answer = tuple[TrackResult | Exception | None, str, tuple[str, ...]]
-"""The result of a step, or what was raised, how far the base is known, and lines for the user."""
+Answer = tuple[TrackResult | Exception | None, str, tuple[str, ...], tuple[Mapping[str, Any], ...]]
+"""The result of a step, or what was raised, how far the base is known, lines for the user, calibrations to be saved."""
 
 
 class Process(AbstractContextManager[Any], Protocol):
@@ -33,11 +34,14 @@ class Process(AbstractContextManager[Any], Protocol):
 
 _here: list[FollowedArm] = []
 _lines: list[str] = []
+_found: list[Mapping[str, Any]] = []
 
 
-def make_here(make: Callable[[Report], FollowedArm]) -> None:
+def make_here(own: ArmSetup) -> None:
     """Make the arm that this process follows."""
-    _here.append(make(_lines.append))
+    from dvrk_cmaes.live.follow import FollowedArm
+
+    _here.append(FollowedArm(replace(own, save=_found.append), _lines.append))
 
 
 def _done(asked: Rig | tuple[Any, ...]) -> Answer:
@@ -50,9 +54,10 @@ def _done(asked: Rig | tuple[Any, ...]) -> Answer:
             found = _here[0].step(*asked)
     except Exception as error:
         found = error
-    lines = tuple(_lines)
+    answer = found, _here[0].state, tuple(_lines), tuple(_found)
     _lines.clear()
-    return found, _here[0].state, lines
+    _found.clear()
+    return answer
 
 
 class ArmProcess:
@@ -64,11 +69,13 @@ class ArmProcess:
         The process, in which `make_here` was called. One that has died is started again.
     report
         Takes lines for the user.
+    save
+        Keeps each calibration that is found, in this process, which has the folder open.
     """
 
-    def __init__(self, process: Process, report: Report) -> None:
+    def __init__(self, process: Process, report: Report, save: Callable[[Mapping[str, Any]], None] | None) -> None:
         self.state = ""
-        self._process, self._report = process, report
+        self._process, self._report, self._save = process, report, save
 
     def begin(self, rig: Rig) -> ArmProcess:
         """Follow anew, by these cameras."""
@@ -95,13 +102,16 @@ class ArmProcess:
     def _answer(self, future: Future[Answer]) -> TrackResult | None:
         """Take an answer of the process; one that has died begins anew."""
         try:
-            found, self.state, lines = future.result()
+            found, self.state, lines, calibrations = future.result()
         except (BrokenProcessPool, CancelledError):
             self._process.kill()
             self._asked(self._rig)
             raise DvrkCmaesError("the process of this arm died") from None
         for line in lines:
             self._report(line)
+        if self._save is not None:
+            for document in calibrations:
+                self._save(document)
         if isinstance(found, Exception):
             raise found
         return found

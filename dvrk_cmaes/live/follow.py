@@ -87,12 +87,12 @@ class LiveSetup:
         inputs.subscribe(connection)
         arms, apart = [], self.process if len(self.arms) > 1 else None
         for own in self.arms:
-            here, say = partial(FollowedArm, own), LogThrottle(report)
+            say = LogThrottle(report)
             followed: FollowedArm | ArmProcess
             if apart is None:
-                followed = here(say)
+                followed = FollowedArm(own, say)
             else:
-                followed = ArmProcess(stack.enter_context(apart(partial(make_here, here))), say)
+                followed = ArmProcess(stack.enter_context(apart(partial(make_here, own))), say, own.save)
             stack.callback(followed.close)
             drawn = own.body if self.overlay else None
             outputs = Outputs(connection, own.names, own.body.instrument.root_link, drawn)
