@@ -89,6 +89,10 @@ class Session:
     image_times: Mapping[str, int | None] = field(default_factory=dict)
     guessed: bool = False
 
+    def __repr__(self) -> str:
+        frames, camera = listed(frame.name for frame in self.frames), self.camera
+        return f"Session('{self.folder}', {len(self.frames)} frames: {frames}; {camera.width} x {camera.height} px)"
+
     @property
     def camera(self) -> Camera:
         """The reference camera."""

@@ -18,6 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from dvrk_cmaes.camera.critical import WRONG
 from dvrk_cmaes.camera.document import is_camera, unwrapped
 from dvrk_cmaes.camera.fields import Side
 from dvrk_cmaes.camera.files import read_intrinsics
@@ -300,10 +301,11 @@ def _inspect_camera(path: Path, options: Options) -> Finding:
             f"{size}, focal lengths {intrinsics.fx:.3f} and {intrinsics.fy:.3f} px, "
             f"principal point {intrinsics.cx:.3f}, {intrinsics.cy:.3f}",
             lens,
-            *remarks,
+            *(remark for remark in remarks if not remark.startswith(WRONG)),
         ),
         {"form": intrinsics.kind, **read, "remarks": list(remarks)},
         tuple(notes),
+        tuple(f"{path}: {remark}" for remark in remarks if remark.startswith(WRONG)),
     )
 
 
@@ -487,6 +489,7 @@ def _of_arm(session: Session, instrument: str | None) -> Finding:
         "jaw tips": sum(frame.keypoints is not None for frame in frames),
         "truth": len(session.truth.frames),
     }
+    wrong = [f"{session.folder}: {remark}" for remark in session.rig.remarks if remark.startswith(WRONG)]
     camera, joints = session.camera, dict.fromkeys(name for frame in frames for name in frame.readings)
     lines = [
         f"{counted(len(frames), 'frame')}: {listed(frame.name for frame in frames)}",
@@ -495,7 +498,7 @@ def _of_arm(session: Session, instrument: str | None) -> Finding:
         *(note for note in session.notes if note.startswith(_DESCRIPTIONS)),
         f"camera {camera.width} x {camera.height} px, focal lengths {camera.fx:.3f} and {camera.fy:.3f} px",
         *_clock(session),
-        *session.rig.remarks,
+        *(remark for remark in session.rig.remarks if not remark.startswith(WRONG)),
         *(note for note in session.notes if note.startswith(WARNED)),
         f"instrument {instrument or 'lnd, assumed: session.toml names none (--instrument)'}",
         _next(session),
@@ -509,7 +512,7 @@ def _of_arm(session: Session, instrument: str | None) -> Finding:
         "problems": problems,
         "remarks": session.rig.remarks,
     }
-    return Finding("session", tuple(lines), read, tuple(rules), (*problems.values(),))
+    return Finding("session", tuple(lines), read, tuple(rules), (*problems.values(), *wrong))
 
 
 def _opened(frame: FrameFiles, camera: Rig) -> str | tuple[str, ...]:
@@ -517,7 +520,12 @@ def _opened(frame: FrameFiles, camera: Rig) -> str | tuple[str, ...]:
     if frame.video is not None:
         return frame.problem or frame.notes
     try:
-        return read_frame(frame, camera).notes
+        notes = read_frame(frame, camera).notes
+        given = None if frame.label is not None or frame.mask is None or frame.mask.suffix == ".json" else frame.mask
+        soft = given is not None and _inspect_picture(given).kind == "image"
+        return (
+            (*notes, f"masks have many values between 0 and 255: above {_THRESHOLD} is instrument") if soft else notes
+        )
     except InputError as error:
         return str(error)
 

@@ -51,8 +51,9 @@ def check_joint(where: str, name: str, names: Sequence[str]) -> None:
     """
     if name not in names:
         like = [one for one in names if one not in ECM_JOINTS or name.lower().startswith("ecm")]
-        near = ", ".join(nearest_first(name[:60], like))
-        raise InputError(f"{where}: unknown joint {shown(name)}; expected one of {near}")
+        near = ", ".join(nearest_first(name[:60], dict.fromkeys(like)))
+        hint = " (--columns names columns, - one that is not read)" if where.endswith("header") else ""
+        raise InputError(f"{where}: unknown joint {shown(name)}; expected one of {near}{hint}")
 
 
 def joints_of_arm(where: str, stated: Sequence[str], names: Sequence[str], arm: str | None = None) -> dict[str, int]:
@@ -127,9 +128,7 @@ def check_readings(where: str, joints: object, known: Sequence[str]) -> None:
     check_type(where, joints, Mapping, READINGS)
     assert isinstance(joints, Mapping)
     for name, value in joints.items():
-        if name not in known and name != "jaw":
-            near = ", ".join(nearest_first(str(name), known))
-            raise InputError(f"{where}: unknown joint {name!r}; expected one of: {near}")
+        check_joint(where, str(name), [*known, "jaw"])
         joint_reading(where, name, checked_number(f"{where}: {name}", value, f"a finite number in {unit_of(name)}"))
 
 

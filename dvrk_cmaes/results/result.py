@@ -211,16 +211,6 @@ class Result:
         return replace(result, covariance=read_covariance(where, covariance, (*POSE_AXES, *result.joints)))
 
     @property
-    def std_translation_mm(self) -> Float64 | None:
-        """Standard deviations of the position along the root link's axes, (3,) mm."""
-        return None if self.covariance is None else np.sqrt(np.diag(self.covariance)[:3]) * 1e3
-
-    @property
-    def std_rotation_deg(self) -> Float64 | None:
-        """Standard deviations of the rotation about the root link's axes, (3,) degrees."""
-        return None if self.covariance is None else np.degrees(np.sqrt(np.diag(self.covariance)[3:6]))
-
-    @property
     def std_joints_deg(self) -> dict[str, float] | None:
         """Standard deviations of the joints, degrees, by name."""
         if self.covariance is None:

@@ -97,7 +97,8 @@ def test_reading_just_below_full_turn_is_accepted() -> None:
         (
             "frame,jow\n1,2\n",
             "1",
-            "header: unknown joint 'jow'; expected one of jaw, yaw, roll, wrist_yaw, insertion, wrist_pitch, pitch",
+            "header: unknown joint 'jow'; expected one of jaw, yaw, roll, wrist_yaw, insertion, wrist_pitch, pitch "
+            "(--columns names columns, - one that is not read)",
         ),
         (
             'frame,jaw\n1,"' + "x" * 200_000,

@@ -234,3 +234,28 @@ def test_video_beside_its_masks_is_to_be_imported_with_them(video: list[object],
     said = run("inspect", tmp_path).out
     assert f"next: dvrk-cmaes import {tmp_path}/v.avi --camera {tmp_path}/camera.yaml --joints" in said
     assert f"--masks {tmp_path}/masks" in said
+
+
+def test_camera_file_of_a_known_mistake_and_soft_masks_are_said_by_inspect(tmp_path: Path) -> None:
+    folder = demo_as(tmp_path, "{:04d}.png")
+    for path in (folder / "masks").iterdir():
+        soft = cv2.GaussianBlur(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), (0, 0), 9)
+        cv2.imwrite(str(path), soft)
+    ran = run("inspect", folder)
+    assert (ran.code, ran.err) == (0, "")
+    assert "masks have many values between 0 and 255: above 127 is instrument" in ran.out
+    camera = folder / "camera.yaml"
+    camera.write_text(camera.read_text().replace("326.3, 0.0, 1042.6, 235.1", "235.1, 0.0, 1042.6, 326.3"))
+    for path in (folder, camera):
+        ran = run("inspect", path)
+        assert ran.code == 3
+        assert f"{path}: camera file: most likely wrong: principal point" in ran.err
+
+
+def test_column_of_another_name_is_refused_with_the_option_that_names_columns(tmp_path: Path) -> None:
+    folder = demo_as(tmp_path, "{:04d}.png")
+    table = folder / "joints.csv"
+    table.write_text(table.read_text().replace("jaw", "gripper", 1))
+    refusal = run("batch", folder, "--out", tmp_path / "out").refusal
+    assert "header: unknown joint 'gripper'" in refusal
+    assert refusal.endswith("(--columns names columns, - one that is not read)")
