@@ -332,10 +332,10 @@ class SessionConfig:
         shadow beside the shaft was taken for it. Keyframes of a recording that is followed as it comes always do.
     alike_seconds
         Time in which consecutive frames err alike, s, so that all of them count as one in base, offsets, camera and
-        margin; 0 to count each. Keyframes, which are chosen far from each other, count each.
+        margin; 0 to count each.
     shared_errors
         Factor on the standard deviations of what the frames tell of camera and lens, because they share errors of masks
-        and meshes; at least 2 where this program found the masks in images, and of the keyframes of a recording.
+        and meshes; at least 2 where this program found the masks in images.
     test_camera
         Whether the frames test the camera file, which takes a quarter of the time. Keyframes of a recording that is
         followed as it comes do so only once as many as are kept have been solved.
@@ -431,7 +431,7 @@ class EstimateConfig:
         return _as_dict(self)
 
     def with_alike_masks(self) -> EstimateConfig:
-        """Return the settings for a session whose masks err more alike: found in images, or of one recording."""
+        """Return the settings for a session whose masks this program found in images, which err more alike."""
         shared = max(self.session.shared_errors, _OF_ALIKE_MASKS)
         return replace(self, session=replace(self.session, shared_errors=shared))
 

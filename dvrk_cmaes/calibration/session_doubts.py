@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
+from dvrk_cmaes.calibration.blocks import CLEAR
 from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG
 from dvrk_cmaes.calibration.session_camera import IMPLAUSIBLE
 from dvrk_cmaes.calibration.session_masks import SessionMasks
@@ -171,7 +172,7 @@ def insertion_off(calibration: SessionCalibration, settings: SessionConfig) -> s
 
 
 def offsets_beyond_cables(calibration: SessionCalibration) -> list[str]:
-    """Judge the offsets of wrist and jaw.
+    """Judge the offsets of wrist and jaw, which are doubtful where they are clearly beyond what cables do.
 
     That of a joint whose readings are commanded values is no offset of its cables.
     """
@@ -180,7 +181,7 @@ def offsets_beyond_cables(calibration: SessionCalibration) -> list[str]:
     for (name, offset), own in zip(list(calibration.offsets.items())[1:], std, strict=True):
         deg = float(np.degrees(offset))
         most = next((limit for start, limit in _BEYOND_CABLES_DEG.items() if name.startswith(start)), np.inf)
-        if name not in calibration.commanded and abs(deg) > most + own:
+        if name not in calibration.commanded and abs(deg) - most > CLEAR * own:
             found.append(
                 f"offset of {name}: {deg:+z.1f} deg (std {own:.1f}), where {most:.1f} deg are the most that cables "
                 f"do; likely causes: {_CAUSES_OF_CABLES}"

@@ -106,13 +106,11 @@ class CalibrateOptions:
         """Return an arm with the frames of its session that match the pattern, or keyframes of these, and settings."""
         from dvrk_cmaes.runs.keyframes import with_keyframes
         from dvrk_cmaes.runs.output import chosen_frames
-        from dvrk_cmaes.track.keyframe_problem import solved_with
 
         chosen = replace(arm.session, frames=chosen_frames(arm.session.frames, self.frames))
         if self.keyframes is None:
             return replace(arm, session=chosen)
-        keyframes = with_keyframes(chosen, self.keyframes)
-        return replace(arm, session=keyframes).with_config(solved_with(arm.method.config))
+        return replace(arm, session=with_keyframes(chosen, self.keyframes))
 
     def asked_lag(self) -> Lag | None:
         """Return the lag that is given."""

@@ -42,7 +42,6 @@ from dvrk_cmaes.segment.shaft_pairs import prompts_in
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.frame_fits import around_task, learn_task, with_outside
 from dvrk_cmaes.track.image_masks import pooled_colours
-from dvrk_cmaes.track.keyframe_problem import solved_with
 from dvrk_cmaes.track.keyframes import LEAST_KEYFRAMES, choose_keyframes
 
 SEARCHED: Final = 16  # keyframes that are searched for; the others start from where these expect them
@@ -143,7 +142,7 @@ def _begin_chosen(
     work.progress("estimating keyframes", len(keyframes))
     problem = replace(work, series=recorded.series, gathered={})
     frames = _estimated(recorded, keyframes, problem)
-    problem = replace(problem, config=solved_with(work.config), gathered={})
+    problem = replace(problem, gathered={})
     try:
         begun = begin_arm(frames, problem).then(lambda found: bad_predictions(found[0].calibration) or found[0])
     except InputError as error:

@@ -36,11 +36,6 @@ if TYPE_CHECKING:
     from dvrk_cmaes.track.tracker import Tracker
 
 
-def solved_with(config: EstimateConfig) -> EstimateConfig:
-    """Return the settings with which keyframes are solved: each counts, and those that are near in time err alike."""
-    return replace(config, session=replace(config.with_alike_masks().session, alike_seconds=0.0))
-
-
 @dataclass(frozen=True, eq=False)
 class Keyframe:
     """An image that is kept: its time, s, masks and ignored pixels (H, W) by view as packed bits, and readings.
@@ -147,7 +142,7 @@ class KeyframeProblem:
         """
         session, refine = replace(self.config.session, shadows=True), self.config.refine
         refine = replace(refine, outline=replace(refine.outline, lines_per_pixel=LINES_PER_PIXEL))
-        config = solved_with(replace(self.config, threads=threads, session=session, refine=refine))
+        config = replace(self.config, threads=threads, session=session, refine=refine)
         alone = self.estimate(body, threads)
         frames = [
             SessionFrame(one.name, one.data(self.rig), alone[one.name], None, one.time, brief=True)
