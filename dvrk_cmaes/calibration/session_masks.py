@@ -43,12 +43,6 @@ _LOG_STD = 0.7  # of the prior of the logarithm of the size
 _SIZES = np.geomspace(0.03, 0.999 * _BIAS_STD, 16)  # px
 _SWEEPS = 3  # in which the sizes are estimated one after the other
 _NONE = 1e-3  # px, of an error that is not there
-_OF_FOUND = 1 / 3
-"""Share of the squares of the errors that were found in those that are expected, as they are not taken off.
-
-Outlines hardly distinguish such an error from one of the arm, the base or the camera: an estimate of all of them
-together has nearly the same base with the error and without it.
-"""
 _MARGIN_PX = 0.08  # of all masks, beyond what the keyframes tell: rounded corners, a segmenter's threshold
 
 
@@ -274,7 +268,6 @@ def estimate_bias(there: Linearised, bias: MaskBias, priors: Mapping[str, Float6
     both = np.r_[calibration.place(MARGIN), place]
     left, of_errors = there.with_std({BIAS: std, **priors})
     left[calibration.place(MARGIN)] -= bias.margin_px
-    expected = np.r_[left[calibration.place(MARGIN)], np.sqrt(_OF_FOUND) * left[place]]
     information = there.information
     of_calibration = np.asarray(np.linalg.solve(information[:count, :count], information[:count, both]), np.float64)
     frames = marginalise(there.model, there.fits, calibration)
@@ -282,7 +275,7 @@ def estimate_bias(there: Linearised, bias: MaskBias, priors: Mapping[str, Float6
     return BiasEstimate(
         np.maximum(left[place], 0.0),
         std,
-        np.asarray(of_errors[np.ix_(both, both)] + np.outer(expected, expected), dtype=np.float64),
+        np.asarray(of_errors[np.ix_(both, both)] + np.outer(left[both], left[both]), dtype=np.float64),
         of_calibration,
         by_all[:, :, :count] @ of_calibration - by_all[:, :, both],
     )
