@@ -37,14 +37,8 @@ WRIST_ERROR: Final = 2.0
 In 12 recordings with known truth the wrist was 1.5 to 2.5 standard deviations (root mean square) off what the
 keyframes before an image expect; the arm was 0.5 to 1.
 """
-_CALIBRATION_ERROR = 1.3  # factor on the calibration's covariance, for errors that all masks of a recording share
 _UNREAD_M, _UNREAD_RAD = 0.01, 0.2  # standard deviations of the arm's motion where its readings are missing or frozen
 _STEP = 1e-3  # of a change of the readings, of the difference by which the change of the pose is found
-
-
-def calibration_covariance(calibration: SessionCalibration, widened: float = _CALIBRATION_ERROR) -> Float64:
-    """Return the covariance (K + M, K + M) of a calibration, widened for errors that all masks of a recording share."""
-    return np.asarray(widened * calibration.whole_covariance)
 
 
 def endoscope_at(calibration: SessionCalibration, time: float | None, ecm: Float64 | None) -> InFrames | None:
@@ -134,7 +128,6 @@ class Prediction:
         errors: Float64 | None = None,
         late: Float64 | None = None,
         wrist: float = 1.0,
-        widened: float = _CALIBRATION_ERROR,
         endoscope: InFrames | None = None,
     ) -> Prediction:
         """Predict N images.
@@ -156,15 +149,13 @@ class Prediction:
             Change of the readings within a standard deviation of the lag.
         wrist
             Factor on the errors of roll and joints that the calibration expects.
-        widened
-            Factor on the calibration's covariance.
         endoscope
             Where an endoscope that moves is in the images, as of `SessionEndoscope.in_frames`.
         """
         model, own = calibration.model(outer, joints, joint_names, endoscope)
         at, prior, jacobian = model.predict(own), model.covariance(own), model.jacobian(own)
         outer_read = np.ones(len(outer), np.bool_) if outer_read is None else outer_read
-        covariance = calibration_covariance(calibration, widened)
+        covariance = calibration.whole_covariance
         jacobian = np.pad(jacobian, ((0, 0), (0, 0), (0, len(covariance) - jacobian.shape[2])))
         wide = np.diag([_UNREAD_M**2] * 3 + [_UNREAD_RAD**2] * (3 + len(joint_names)))
         prior[~(outer_read if moving is None else outer_read & moving)] += wide
@@ -290,7 +281,7 @@ def fit_session_pose(
     missing = [name for name, value in zip(OUTER_JOINTS, outer[0], strict=True) if np.isnan(value)]
     if missing:
         return f"session: no reading of {', '.join(missing)}: searched without it"
-    predicted = Prediction.of(session, outer, readings.values[None], instrument.joint_names, widened=1.0)
+    predicted = Prediction.of(session, outer, readings.values[None], instrument.joint_names)
     expected = Expected.of(predicted.at[0], predicted.spread[0])
     margin = 0.0 if session.masks is None else session.masks.taken_off
     refined = partial(fit_frame, views, config, expected, margin=margin, preset=OF_NEW_FRAME)

@@ -20,7 +20,7 @@ from dvrk_cmaes import _kernel
 from dvrk_cmaes.calibration.autocorrelated_errors import CORRELATED_FRAMES
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_fit import FrameFit
-from dvrk_cmaes.calibration.prediction import Prediction, calibration_covariance
+from dvrk_cmaes.calibration.prediction import Prediction
 from dvrk_cmaes.calibration.session_doubts import resting_on
 from dvrk_cmaes.calibration.session_masks import covariance_of_masks
 from dvrk_cmaes.calibration.solve import robust_weights
@@ -228,7 +228,7 @@ class Window:
             np.array([image.by_masks for image in images]),
             only_last=only_last,
         )
-        calibrated, found = calibration_covariance(calibration), []
+        calibrated, found = calibration.whole_covariance, []
         solved = images[-len(deviations) :]
         for image, deviation, own, response in zip(solved, deviations, covariances, responses, strict=True):
             at, (by_calibration, by_masks) = image.at.moved(deviation), np.split(response, [len(calibrated)], axis=1)
