@@ -81,6 +81,11 @@ class Margin:
         """Return a margin, which is taken off if it is clear."""
         return cls(px, std_px, abs(px) > max(_CLEAR * std_px, _LEAST_MARGIN))
 
+    @property
+    def counted_px(self) -> float:
+        """What counts of a margin that is left on masks: one standard deviation at most where it is not clear."""
+        return self.px if self.applied else float(np.clip(self.px, -self.std_px, self.std_px))
+
 
 class MaskBias(SeenBlock):
     """The errors (6,), px: of both sides of the shaft, and of what faces right, left, down and up in the image.
@@ -164,15 +169,12 @@ class SessionMasks(Document):
 
     @property
     def squares(self) -> Float64:
-        """Mean squares (7, 7), px^2, of the margin that is left on masks of this session, and of the errors on sides.
-
-        What of the margin was found but is not clear counts as one more standard deviation, at most.
-        """
+        """Mean squares (7, 7), px^2, of the margin that is left on this session's masks, and of the errors on sides."""
         if self.error_squares:
             squares = np.array(self.error_squares)
             squares[0, 0] += _LEAST_STD**2
             return squares
-        left = min(abs(self.margin_px - self.taken_off), self.std_margin_px)
+        left = Margin.of(self.margin_px - self.taken_off, self.std_margin_px).counted_px
         return np.asarray(np.diag([self.std_margin_px**2 + left**2, *np.zeros(_ON_SIDES)]))
 
     @property
@@ -267,7 +269,8 @@ def estimate_bias(there: Linearised, bias: MaskBias, priors: Mapping[str, Float6
     std = _likely_sizes(of_outlines - np.eye(len(slope)) / _BIAS_STD**2, slope, bias.usual_px)
     both = np.r_[calibration.place(MARGIN), place]
     left, of_errors = there.with_std({BIAS: std, **priors})
-    left[calibration.place(MARGIN)] -= bias.margin_px
+    margin_std = np.hypot(np.sqrt(of_errors[both[0], both[0]]), _LEAST_STD)
+    left[both[0]] = Margin.of(float(left[both[0]] - bias.margin_px), float(margin_std)).counted_px
     information = there.information
     of_calibration = np.asarray(np.linalg.solve(information[:count, :count], information[:count, both]), np.float64)
     frames = marginalise(there.model, there.fits, calibration)
