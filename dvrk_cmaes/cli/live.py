@@ -252,6 +252,7 @@ def live(
         raise InputError(f"--seconds: expected a time above 0, got {output.seconds:g}")
     from dvrk_cmaes.live.connection import LogThrottle
     from dvrk_cmaes.live.follow import follow
+    from dvrk_cmaes.results.folder import SESSION
     from dvrk_cmaes.runs.live_session import prepare_long_run
 
     connection = server.connection(LogThrottle(note))  # of the connection; follow has its own
@@ -266,7 +267,13 @@ def live(
             counts = follow(setup, connection, note, stop, show=shown, begin_within=begin_within)
         finally:
             connection.close()
-    show([Line(f"{counts.followed} images followed, {counts.published} results published, {counts.refused} refused")])
+    said = f"{counts.followed} images followed, {counts.published} results published, {counts.ok} ok"
+    show([Line(f"{said}; {counts.refused} images or readings left out")])
+    written = () if output.out is None else sorted(output.out.rglob(SESSION))
+    show(Line(f"written: {path}") for path in written)
+    if output.out is not None and len(written) < len(topics.psm):
+        missing = f"{len(topics.psm) - len(written)} of {len(topics.psm)}"
+        note(f"{output.out}: {SESSION} of {missing} arms not written: no base yet")
     return 0
 
 

@@ -30,10 +30,11 @@ Sizes = Mapping[str, tuple[int, int]]
 
 @dataclass
 class LiveCounts:
-    """Frames followed, results published, frames and readings left out."""
+    """Frames followed, results published, ok ones of these, frames and readings left out."""
 
     followed: int = 0
     published: int = 0
+    ok: int = 0
     refused: int = 0
 
 
@@ -165,6 +166,7 @@ class LiveLoop:
         finished = [arm.finish(age, silent) for arm in self._arms]
         followed = any(finished)
         self.counts.published = sum(arm.published for arm in self._arms)
+        self.counts.ok = sum(arm.ok for arm in self._arms)
         self.counts.followed += followed
         self.counts.refused += not followed
         if followed:

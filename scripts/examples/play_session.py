@@ -12,6 +12,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import json
+import socket
 import sys
 import threading
 import time
@@ -50,8 +51,9 @@ class RosbridgeServer:
 
     def start(self) -> None:
         """Serve on another thread."""
-        started = threading.Event()
-        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve(started)), daemon=True)
+        sockets, started = bind_sockets(self.port, "127.0.0.1"), threading.Event()
+        self.port = sockets[0].getsockname()[1]
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve(sockets, started)), daemon=True)
         self._thread.start()
         assert started.wait(60)
 
@@ -77,13 +79,11 @@ class RosbridgeServer:
             except WebSocketClosedError:
                 self.clients.discard(client)
 
-    async def _serve(self, started: threading.Event) -> None:
+    async def _serve(self, sockets: list[socket.socket], started: threading.Event) -> None:
         self._loop, self._ended = asyncio.get_running_loop(), asyncio.Event()
         self.subscribed.clear()
         self.advertised.clear()
         server = HTTPServer(Application([("/", Client, {"server": self})], websocket_max_message_size=10**8))
-        sockets = bind_sockets(self.port, "127.0.0.1")
-        self.port = sockets[0].getsockname()[1]
         server.add_sockets(sockets)
         started.set()
         await self._ended.wait()
@@ -236,6 +236,7 @@ def png(mask: np.ndarray) -> str:
 
 
 def main(folder: str, port: int = 9090) -> None:
+    """Send a session folder's messages once, when a client has subscribed to them; ``port`` 0 is any that is free."""
     robot, server = Robot(folder), RosbridgeServer(port)
     server.start()
     print(f"dvrk-cmaes live --port {server.port} {robot.options}", flush=True)
@@ -255,4 +256,7 @@ def main(folder: str, port: int = 9090) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], *map(int, sys.argv[2:3]))
+    try:
+        main(sys.argv[1], *map(int, sys.argv[2:3]))
+    except OSError as error:
+        sys.exit(f"{sys.argv[1:]}: {error.strerror} (a session folder, and a port that is free)")

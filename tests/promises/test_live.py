@@ -180,7 +180,7 @@ def test_one_arm_is_followed_and_published(kept: Kept) -> None:
     assert median(errors) < 1.5
 
 
-def test_nothing_is_ok_before_the_base_is_known_and_faults_cost_one_image_each(kept: Kept) -> None:
+def test_nothing_is_ok_before_the_base_is_known_and_faults_cost_one_image_each(kept: Kept, tmp_path: Path) -> None:
     session = synth(kept, *ONE)
     files = list(read_session(session).frames)
     topics = ("--image-topic", "/left/image_raw/compressed", "--mask-topic", "/left/mask/compressed")
@@ -192,7 +192,7 @@ def test_nothing_is_ok_before_the_base_is_known_and_faults_cost_one_image_each(k
         mask = cv2.imread(str(files[k].mask), cv2.IMREAD_GRAYSCALE) > 127
         server.send("/left/mask/compressed", mask_message(seconds, mask))
 
-    with Live(*topics, "--camera", session / "camera.yaml") as live:
+    with Live(*topics, "--camera", session / "camera.yaml", "--out", tmp_path / "live") as live:
         server = live.server
         until(lambda: len(server.subscribed) >= 4)
         play(server, 3, send, ("PSM1",))
@@ -217,6 +217,8 @@ def test_nothing_is_ok_before_the_base_is_known_and_faults_cost_one_image_each(k
     assert all(state["level"] > 0 and state["message"] for state in found)
     assert live.code == 0
     assert live.out.count("\n") == 1
+    assert "results published, 0 ok; " in live.out
+    assert live.err.splitlines()[-1].endswith("live: session.json of 1 of 1 arms not written: no base yet")
     lines = live.err.splitlines()
     assert all(line.startswith("dvrk-cmaes: ") for line in lines), live.err
     for expected in ("connected", "+3599", "at most 1 MB", "readings +8999", "/left/mask/compressed", "begins anew"):
