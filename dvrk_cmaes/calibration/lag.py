@@ -73,6 +73,7 @@ _SHARED_ERRORS = 2.0  # factor on the standard deviation: the frames of a record
 _LINEARISATIONS = 10
 _DIFFERENCE = 0.25  # by which readings are shifted for derivatives, in steps of the search
 _SETTLED, _SETTLING = 0.01, 0.45  # steps of the search, by which a refined value still changes, and by which at most
+_APART = 1.8  # times the least misfit, at least, between minima that are no flat one
 # decision
 _SIGNIFICANT = 2.0  # standard deviations
 _LEAST_LAG = 0.3  # frames, below which a lag is not corrected
@@ -422,6 +423,15 @@ class SessionLag:
             return replace(found, undetermined=text, nowhere=True), None
         if not ends and best in np.flatnonzero(np.isfinite(costs))[[0, -1]]:
             text = f"the frames agree best at the end of the range that was searched; {MOVE}"
+            return replace(found, undetermined=text), None
+        between = [costs[min(k, best) : max(k, best) + 1].max() for k in range(len(costs))]
+        alike = (costs < UNLIKELY * costs[best]) & (between > _APART * costs[best])
+        if alike.any():
+            other = lags[np.argmin(np.where(alike, costs, np.inf))]
+            text = (
+                f"the frames agree about as well at {lags[best]:.3g} and {other:.3g} {unit}, as in a motion that "
+                "repeats itself: --lag, if it is known, or a recording of another motion"
+            )
             return replace(found, undetermined=text), None
         return found, float(lags[best])
 

@@ -324,3 +324,22 @@ def test_lag_at_the_end_of_those_at_which_frames_have_readings_is_not_taken_out(
     document = json.loads((tmp_path / "out" / "session.json").read_text())
     assert document["lag"] is None
     assert any("end of the range" in text for text in document["undetermined"])
+
+
+def test_lag_of_a_motion_that_repeats_itself_is_not_taken_out(kept: Kept, tmp_path: Path) -> None:
+    recording, session = synth(kept, *ONE), tmp_path / "session"  # its images are 2 frames late
+    (session / "masks").mkdir(parents=True)
+    shutil.copy(recording / "camera.yaml", session)
+    head, *rows = (recording / "joints.csv").read_text().splitlines()
+    cells = [row.split(",") for row in rows]
+    there_and_back = [*range(2, 26, 4), *range(26, 2, -4)]  # a period of 12 images
+    lines = []
+    for k in range(24):
+        mask = recording / "masks" / f"{there_and_back[(k - 2) % 12] + 2:04d}.png"
+        shutil.copy(mask, session / "masks" / f"{k:04d}.png")
+        lines.append(",".join([*cells[k][:2], *cells[there_and_back[k % 12]][2:]]))
+    (session / "joints.csv").write_text("\n".join([head, *lines]) + "\n")
+    run("calibrate", session, "--out", tmp_path / "out", "--workers", 1)
+    document = json.loads((tmp_path / "out" / "session.json").read_text())
+    assert document["lag"] is None
+    assert any("about as well" in text for text in document["undetermined"])
