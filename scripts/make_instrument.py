@@ -131,27 +131,15 @@ def urdf(name: str, title: str, tool: Tool, meshes: dict[str, str]) -> bytes:
 def instrument_files() -> dict[str, bytes]:
     """Make the files of all instruments: contents by path relative to data/instruments."""
     jaw, right = jaw_1_link(), 1.39626
-    lnd = Tool(
-        "Large Needle Driver",
-        PITCH_TO_YAW,
-        TIP_FRAME,
-        right,
-        right,
-        (-0.349066, right),
-        1,
-        (0, 0),
-        wrist_pitch_link(),
-        None,
-        jaw,
-    )
+    needle_driver = ("Large Needle Driver", PITCH_TO_YAW, TIP_FRAME, right, right, (-0.349066, right), 1, (0, 0))
+    lnd = Tool(*needle_driver, wrist_pitch_link(), None, jaw)
+    turned = np.array([[-1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 0]])  # half a turn about y
     own = {name: name for name in ("roll_link", "wrist_pitch_link", "jaw_1_link", "jaw_2_link")}
     solids = {
         "lnd/meshes/roll_link": roll_link(),
         "lnd/meshes/wrist_pitch_link": lnd.wrist,
         "lnd/meshes/jaw_1_link": jaw,
-        "lnd/meshes/jaw_2_link": jaw.transform(
-            np.array([[-1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 0]])
-        ),  # half a turn about y
+        "lnd/meshes/jaw_2_link": jaw.transform(turned),
         "dvrk/meshes/roll": dvrk_roll_link(),
     }
     files = {"lnd/lnd.urdf": urdf("lnd", lnd.title, lnd, own)}

@@ -48,9 +48,10 @@ REQUIREMENTS = (
     ),
 )
 LONGEST = (
-    *("test_reference_examples", "test_recordings", "test_fuzz", "test_calibrations", "test_frames", "test_tutorial"),
-    *("test_live", "test_background", "test_outputs", "test_keyframe_tracker", "test_calibrate"),
-    *("test_import_surgpose", "test_by_model", "test_session_rig", "test_pool", "test_steered_session", "test_classic"),
+    *("test_recordings", "test_reference_examples", "test_frames", "test_calibrations", "test_fuzz", "test_tutorial"),
+    *("test_background", "test_live", "test_outputs", "test_keyframe_tracker", "test_calibrate", "test_notebook"),
+    *("test_import_surgpose", "test_by_model", "test_session_rig", "test_tracker", "test_page", "test_steered_session"),
+    *("test_pool", "test_classic", "test_formats", "test_segment", "test_model", "test_rig_tracking"),
 )
 """Files of tests that take longest, in the order in which they begin; all others follow.
 
