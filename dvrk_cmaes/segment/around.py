@@ -172,7 +172,7 @@ def segmentation_around(
     steps: list[tuple[int, float | Float32, int]] = [(longest, free, _PASSES)]
     if rough:
         half = longest // 2 if longest // 2 >= _COARSEST else longest
-        steps = [(half, ROUGH * half / longest, _PASSES), (longest, _REFINED, 1)][: 1 + (half < longest)]
+        steps = [(half, ROUGH * half / longest, _PASSES), (longest, _REFINED, 1)]
     for size, band, passes in steps:
         at, scale = size_within(silhouette.shape, size)
         small, fixed = shrunk(image, size), prompts.resized(*at, scale) if scale < 1 else prompts

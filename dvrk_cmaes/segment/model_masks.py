@@ -48,6 +48,7 @@ _POSSIBLE: Final = 0.2
 _AGREES: Final = 0.85  # overlap of a mask with the silhouette around which it was cut, below which it is less sure
 _UNDECIDED: Final = 0.75  # confidence, at most, of one of several instruments, where readings are of a certain one
 SAME: Final = 0.7  # overlap with an instrument, from which on a mask is of the same one: then the surer one is taken
+_ROUGHLY: Final = 0.2  # by which this overlap may be less at 320 px, where a mask is found at full size
 _BEYOND_BOX: Final = 0.5  # share of a silhouette that is outside a given box
 
 
@@ -142,7 +143,8 @@ def segment_by_model(
             return last
         own = mask_of_candidate(image, best, body, camera, prompts, foreground)
         return own if own.mask.any() else last
-    other = by_colours() if sure and foreground is None else None
+    shown = sure and foreground is None and any(_overlap(each, roughly.mask) > SAME - _ROUGHLY for each in found)
+    other = by_colours() if shown else None
 
     def mask_of(each: Candidate) -> Segmentation:
         """Return a candidate's mask without the pixels of others, whose colours may be this one's, too."""
