@@ -137,7 +137,7 @@ CASES: Final[dict[str, Case]] = {
         reason="shaft",
     ),
     "no_readings": Case(
-        "no readings: nothing tells the pose from its mirror twin",
+        "no readings: nothing distinguishes the pose from its mirror twin",
         *((310, 245), 110, 58, -20, -50, (34, -30, 44)),
         read=False,
         outcome="doubtful",

@@ -60,7 +60,7 @@ _WRONG_SHARE, _WRONG_STD = 0.05, 10.0
 """Share of files of another zoom, crop or endoscope, as far as frames could show it, and their errors in usual ones."""
 IMPLAUSIBLE = (
     "camera: its estimate from these frames is not plausible; frames with other poses of the arm, above all another "
-    "insertion, tell it better"
+    "insertion, determine it better"
 )
 """Why a session does not determine its camera: the estimate is too far away for outlines that were linearised here."""
 
@@ -218,9 +218,9 @@ class SessionCamera(Document):
         std = found.fx * self.std_focal_scale / self.focal_scale
         across, down = (size * each for each in self.std_principal_point_px)
         return (
-            f"no camera file: these frames tell a focal length of {found.fx:.0f} px (std {std:.0f}) and a principal "
-            f"point at {found.cx:.0f}, {found.cy:.0f} px (std {across:.0f}, {down:.0f}), without lens distortion. A "
-            "checkerboard in some 20 pictures tells all of these better (camera_calibration of ROS), a longer "
+            f"no camera file: these frames determine a focal length of {found.fx:.0f} px (std {std:.0f}) and a "
+            f"principal point at {found.cx:.0f}, {found.cy:.0f} px (std {across:.0f}, {down:.0f}), without lens distortion. A "
+            "checkerboard in some 20 pictures determines all of these better (camera_calibration of ROS), a longer "
             "recording in which insertion moves by some centimetres the focal length"
         )
 
@@ -251,7 +251,7 @@ class SessionCamera(Document):
 
 def camera_undetermined(model: SessionModel) -> str | None:
     """Say why a session cannot determine its camera; None if it can."""
-    return _lacking(model, _MANY_FRAMES, "tell")
+    return _lacking(model, _MANY_FRAMES, "determine")
 
 
 def _lacking(model: SessionModel, least: int, purpose: str) -> str | None:

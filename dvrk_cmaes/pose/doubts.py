@@ -27,7 +27,7 @@ OTHER_SIZES: Final = "another instrument (--instrument), or another focal length
 """Why parts of an instrument may seem to have other sizes."""
 BASE_APART: Final = "base far from the others'"
 """What the reason begins with for which a frame of a folder differs from the others."""
-NO_READINGS: Final = "no readings: nothing tells the pose from its mirror twin"
+NO_READINGS: Final = "no readings: nothing distinguishes the pose from its mirror twin"
 """The reason of an instrument whose mirror twin has the same silhouette, and none of whose joints is read."""
 
 _FAR_JOINTS = 2.1
@@ -301,7 +301,7 @@ def readings_missing(has_outer: bool, still: bool, source: str) -> str | None:
     """Judge whether readings of the outer joints say where the instrument is; ``still`` if they do not change."""
     if not has_outer:
         return "no readings: none of the outer joints at the time of the image less the lag"
-    return f"readings stand still: where the instrument is, only the {source} tells" if still else None
+    return f"readings stand still: only the {source} shows where the instrument is" if still else None
 
 
 def readings_too_sparse(sparse: Sparseness) -> str | None:

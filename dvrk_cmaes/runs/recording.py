@@ -126,7 +126,7 @@ def predict(
         read, times = ecm_readings(readings), [own.time for own in recorded.files]
         found = session.endoscope.in_frames(session.camera_from_base, read, times, [own.name for own in recorded.files])
         if isinstance(found, str):
-            raise InputError(f"recording: {found}: expected those by which the calibration tells the endoscope's place")
+            raise InputError(f"recording: {found}: expected the readings by which the calibration places the endoscope")
         endoscope = found
     known = np.flatnonzero(has_outer)
     nearest = known[np.abs(np.arange(len(has_outer))[:, None] - known).argmin(axis=1)]

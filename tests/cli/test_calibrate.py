@@ -138,7 +138,7 @@ def test_camera_without_a_file_is_found(command: Command, bundled_body: Body, tm
     ran = command("calibrate", tmp_path / "session", "--out", tmp_path / "out", *QUICKLY)
     assert "finding the camera with 10 frames" in ran.err
     assert ran.code in (0, 3)
-    assert "no camera file: these frames tell a focal length of " in ran.err
+    assert "no camera file: these frames determine a focal length of " in ran.err
     page = (ROOT / "data" / "reference" / "uncalibrated.md").read_text(encoding="utf-8")
     (shown,) = (block.text for block in blocks(page) if block.text.startswith("no camera file"))
     (warning,), (camera,) = ([" ".join(part)] for part in printed_parts(shown))
