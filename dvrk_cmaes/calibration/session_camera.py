@@ -219,9 +219,9 @@ class SessionCamera(Document):
         across, down = (size * each for each in self.std_principal_point_px)
         return (
             f"no camera file: these frames determine a focal length of {found.fx:.0f} px (std {std:.0f}) and a "
-            f"principal point at {found.cx:.0f}, {found.cy:.0f} px (std {across:.0f}, {down:.0f}), without lens distortion. A "
-            "checkerboard in some 20 pictures determines all of these better (camera_calibration of ROS), a longer "
-            "recording in which insertion moves by some centimetres the focal length"
+            f"principal point at {found.cx:.0f}, {found.cy:.0f} px (std {across:.0f}, {down:.0f}), without lens "
+            "distortion. A checkerboard in some 20 pictures determines all of these better (camera_calibration of "
+            "ROS), a longer recording in which insertion moves by some centimetres the focal length"
         )
 
     def contradictions(self) -> list[str]:

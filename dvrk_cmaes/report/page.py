@@ -130,12 +130,16 @@ def session_figures(results: Sequence[Result], summary: Mapping[str, Any]) -> It
     tips = [(result.expected_error.tip_90_mm, result.frame) for result in results if result.expected_error is not None]
     if tips:
         most, where = max(tips)
-        figure = f"{np.median([tip for tip, _ in tips]):.2f} mm"
+        figure = f"{np.median([tip for tip, _ in tips]):.1f} mm"
         yield KeyFigure("Tips within (90 %), median", figure, f"at worst {most:.1f} mm ({where})")
     seconds = [result.seconds for result in results if result.seconds and result.status != "failed"]
     if seconds:
         run = (summary.get("timing") or {}).get("run") or {}
-        took = f"; {run['frames']:,} frames in {run['seconds']:.0f} s" if run.get("frames") else ""
+        took = (
+            f"; {run['frames']:,} frame{'s' * (run['frames'] > 1)} in {run['seconds']:.0f} s"
+            if run.get("frames")
+            else ""
+        )
         yield KeyFigure("Time a frame, median", f"{np.median(seconds):.2f} s", f"slowest {max(seconds):.2f} s{took}")
 
 
