@@ -111,7 +111,7 @@ class EndoscopeValues:
 
 
 @dataclass(frozen=True, eq=False)
-class Endoscope(ABC):
+class _Moving(ABC):
     """Where the endoscope is in each of N frames, as a function of the values of M unknowns.
 
     ``start`` are the values from which an estimation starts, ``loose`` (M,) their standard deviations. ``shared`` is
@@ -130,27 +130,6 @@ class Endoscope(ABC):
     def block(self) -> EndoscopeBlock:
         """The block of the M unknowns."""
         return EndoscopeBlock(self.start, self.axes, shared=self.shared)
-
-    @property
-    @abstractmethod
-    def place(self) -> Indices:
-        """Number (N,) of the place at which the endoscope stands in each frame; -1 while it is moved."""
-
-    @abstractmethod
-    def relative(self, values: EndoscopeValues) -> Float64:
-        """Compute the reference camera's pose (N, 4, 4) in each frame's camera, m."""
-
-    @abstractmethod
-    def jacobian(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:
-        """Compute the changes (N, 6, M) of each frame's camera_from_base by the unknowns, along and about base axes."""
-
-    @abstractmethod
-    def loadings(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:
-        """Compute the changes (N, 6, 4) of camera_from_base by a standard deviation of a frame's own errors."""
-
-    @abstractmethod
-    def subset(self, index: Sequence[int] | NDArray[np.integer]) -> Endoscope:
-        """Return the endoscope in the frames at some indices."""
 
     @property
     @abstractmethod
@@ -188,10 +167,6 @@ class EndoscopeBlock(PredictedBlock):
         return out
 
 
-InFrames = tuple[Endoscope, EndoscopeValues]
-"""Where an endoscope is in some frames, and the values of its unknowns."""
-
-
 @dataclass(frozen=True, eq=False)
 class Place:
     """A place at which the endoscope stands: its ``readings`` (4,), and how far from them (4,) others are of it."""
@@ -201,7 +176,7 @@ class Place:
 
 
 @dataclass(frozen=True, eq=False)
-class Steered(Endoscope):
+class Steered(_Moving):
     """An endoscope whose arm is read, in N frames.
 
     ``read`` (N, 4) are the readings, rad and m, ``places`` where it stands, the first of which is the reference. While
@@ -330,7 +305,7 @@ class Steered(Endoscope):
 
 
 @dataclass(frozen=True, eq=False)
-class Pieces(Endoscope):
+class Pieces(_Moving):
     """An endoscope that is not read, in N frames, each in a ``piece`` (N,) of the session; piece 0 is the reference."""
 
     piece: Indices
@@ -371,6 +346,12 @@ class Pieces(Endoscope):
         """Names of the M unknowns."""
         count = len(self.start.poses)
         return tuple(f"piece_{k + 1}_{name}" for k in range(count) for name in ("tx", "ty", "tz", "rx", "ry", "rz"))
+
+
+Endoscope = Steered | Pieces
+"""Where an endoscope that moves is in some frames."""
+InFrames = tuple[Endoscope, EndoscopeValues]
+"""The same, and the values of its unknowns."""
 
 
 def find_places(read: Float64) -> tuple[Place, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -21,10 +21,9 @@ from dvrk_cmaes.calibration.endoscope import (
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.geometry import Float64, Indices, inverse, log_rotation
 from dvrk_cmaes.instrument.endoscope import STRAIGHT
-from dvrk_cmaes.io.encode import SIGNIFICANT, encoded_fields
-from dvrk_cmaes.io.rounding import rounded_array
+from dvrk_cmaes.io.encode import SIGNIFICANT, Document
 from dvrk_cmaes.io.short_text import natural
-from dvrk_cmaes.io.typed_document import Count, Number, Transform, convert_document, refused
+from dvrk_cmaes.io.typed_document import Count, Number, Transform, convert_document, read_variances, refused
 from dvrk_cmaes.joints.names import ECM_JOINTS
 
 Row = tuple[Number, ...]
@@ -60,7 +59,7 @@ class ReadPlace:
 
 
 @dataclass(frozen=True, eq=False)
-class SessionEndoscope:
+class SessionEndoscope(Document):
     """An endoscope that moved during a session; m, rad, and readings in the order of the ECM's joints.
 
     bases : where it stood, by time. places : the same by the readings of its arm, the reference first; empty where that
@@ -153,22 +152,10 @@ class SessionEndoscope:
         if found.places and tuple(found.offsets) != ECM_JOINTS:
             raise refused(where, "offsets", f"those of {', '.join(ECM_JOINTS)}", found.offsets)
         count = known + (10 + 4 * len(found.places) - 4 if found.places else 6 * found.last_place)
-        try:
-            covariance = np.array(matrix, dtype=np.float64)
-        except (TypeError, ValueError):
-            covariance = np.zeros(0)
-        if covariance.shape != (count, count) or not np.isfinite(covariance).all() or (np.diag(covariance) < 0).any():
-            expected = f"{count} rows of {count} finite numbers, no negative variance"
-            raise refused(where, "covariance", expected, matrix)
+        covariance = read_variances(where, "covariance", matrix, count)
         if not found.places and {one.place for one in found.bases} != set(range(found.last_place + 1)):
             raise refused(where, "bases", "each place from 0 on", [one.place for one in found.bases])
-        return cls(**{**vars(found), "covariance": covariance})
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the values in the documented schema, ready for JSON."""
-        names = [name for name in vars(self) if name not in ("places", "covariance")]
-        places = [{name: rounded_array(np.array(row)) for name, row in vars(one).items()} for one in self.places]
-        return {**encoded_fields(self, *names), "places": places, **encoded_fields(self, "covariance")}
+        return replace(found, covariance=covariance)
 
     @property
     def last_place(self) -> int:

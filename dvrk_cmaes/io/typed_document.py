@@ -139,10 +139,14 @@ def read_covariance(where: str, entry: object, axes: tuple[str, ...], field: str
         raise refused(where, "covariance", "an object", entry)
     if entry.get("axes") != [*axes]:
         raise refused(where, "covariance.axes", ", ".join(axes), entry.get("axes"))
-    matrix = _finite_array(entry.get(field), (len(axes), len(axes)))
+    return read_variances(where, f"covariance.{field}", entry.get(field), len(axes))
+
+
+def read_variances(where: str, name: str, value: object, count: int) -> Float64:
+    """Read the field ``name`` with a covariance of some ``count`` of unknowns; `InputError` as `read_covariance`."""
+    matrix = _finite_array(value, (count, count))
     if matrix is None or (np.diag(matrix) < 0).any():
-        expected = f"{len(axes)} rows of {len(axes)} finite numbers, no negative variance"
-        raise refused(where, f"covariance.{field}", expected, entry.get(field))
+        raise refused(where, name, f"{count} rows of {count} finite numbers, no negative variance", value)
     return matrix
 
 
