@@ -122,8 +122,7 @@ class Offsets(PredictedBlock):
 class ViewAsSeen:
     """How a view is taken to see the instrument: its ``camera``, ``place`` (4, 4), m, and mask's ``margin``, px.
 
-    ``size`` is the width of its images in that of the reference camera's, ``scale`` the factor on the instrument,
-    and ``sides`` by how much the mask lies outwards of both sides of the shaft, px; empty where it does not.
+    ``size`` is the width of its images in that of the reference camera's, ``scale`` the factor on the instrument.
     """
 
     camera: Camera
@@ -131,7 +130,6 @@ class ViewAsSeen:
     margin: float
     size: float
     scale: float = 1.0
-    sides: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,13 +220,6 @@ class Calibration:
 
     blocks: tuple[Block, ...]
     values: Mapping[str, Any]
-
-    @classmethod
-    def of(cls, camera_from_base: Float64, offsets: Float64, std: Float64 | None = None) -> Calibration:
-        """Return that of a base (4, 4) and offsets (2 + J,), whose prior has standard deviations (2 + J,), if any."""
-        joints = [f"joint_{number}" for number in range(len(offsets) - 2)]
-        blocks = Base(), Offsets(np.full(len(offsets), np.inf) if std is None else std, joints)
-        return cls(blocks, {BASE: camera_from_base, OFFSETS: offsets})
 
     @property
     def camera_from_base(self) -> Float64:

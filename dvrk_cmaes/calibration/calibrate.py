@@ -15,7 +15,6 @@ import numpy as np
 
 from dvrk_cmaes.calibration.cables import SessionCables
 from dvrk_cmaes.calibration.document import Agreement, SessionCalibration, describe_solution
-from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.frame_task import (
     NOT_READ,
     FrameReport,
@@ -39,10 +38,9 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.geometry import Float64, inverse
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
+from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.joints.lag import Lag
-from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.pose.doubts import reading_slipped, reasons
@@ -158,7 +156,8 @@ def _finished(given: _Given, outcome: Outcome | None) -> tuple[SolvedSession, di
     assert outcome is not None
     if isinstance(outcome, Exception):
         raise outcome
-    arm, check = outcome
+    arm, check = outcome, outcome.check
+    assert check is not None
     with single_blas_thread():
         errors = errors_of_camera(check, arm.stored[0].camera, arm.setup.config.camera)
         reports, reasons = reported(arm, errors)
@@ -326,19 +325,20 @@ def reported(arm: ArmSession, camera_errors: Float64) -> tuple[list[FrameReport]
     InputError
         Too few frames agree with the calibration.
     """
-    setup, model, solution, bias = arm.setup, arm.model, arm.solution, arm.bias
+    setup, model, solution = arm.setup, arm.model, arm.solution
     setup.progress("leaving one out", len(arm.frames))
     disagreements = arm.disagreements
     arm.check_agreement(disagreements)
     named = zip(arm.frames, disagreements, strict=True)
     reasons = {**arm.left_out, **{frame.name: text for frame, text in named if text}}
-    # what errors of all masks do to a frame is stated with what they do to its own mask
+    # what the margin of all masks does to a frame is stated with what it does to its own mask
     covariances = frame_covariances(model, FrameFits.of(arm.fits), replace(solution, of_masks=None))
     bases, tasks = model.base_from_root(solution.calibration.offsets), []
     stated = {**setup.config.as_dict(), "instrument": setup.instrument.describe_limits(setup.arm)}
     for i, (frame, result, disagreement) in enumerate(zip(arm.frames, _results(arm), disagreements, strict=True)):
-        if bias is not None:
-            covariances[i] += bias.of_frames[i] @ bias.squares @ bias.of_frames[i].T
+        if arm.masks is not None and arm.check is not None and arm.check.of_margin is not None:
+            moved = arm.check.of_margin.of_frames[i]
+            covariances[i] += arm.masks.square * np.outer(moved, moved)
         task = ReportTask(
             arm.stored[i],
             result if disagreement or frame.brief else replace(result, config=stated),
@@ -356,17 +356,12 @@ def reported(arm: ArmSession, camera_errors: Float64) -> tuple[list[FrameReport]
 
 
 def _results(arm: ArmSession) -> list[Result]:
-    """Return the frames' own results; with the readings of the model, if a lag is taken out of them."""
-    results, model = [frame.result for frame in arm.frames], arm.model
-    if arm.lag.applied is None:
+    """Return the frames' own results; with the readings less the lag, if one is taken out."""
+    results, lag, series = [frame.result for frame in arm.frames], arm.lag.applied, arm.lag.series
+    if lag is None or series is None:
         return results
-    names, values = (*OUTER_JOINTS, *model.names), np.concatenate([model.outer, model.joints], axis=1)
-    rows = [{name: v for name, v in zip(names, row, strict=True) if not np.isnan(v)} for row in values.tolist()]
-    if isinstance(model.endoscope, Steered):
-        ecm = [dict(zip(ECM_JOINTS, row, strict=True)) for row in model.endoscope.read.tolist()]
-    else:
-        ecm = [{name: own.readings[name] for name in ECM_JOINTS if name in own.readings} for own in results]
-    return [replace(own, readings={**row, **of_ecm}) for own, row, of_ecm in zip(results, rows, ecm, strict=True)]
+    names = [frame.name for frame in arm.frames]
+    return [replace(own, readings=series.of_frame(name, lag)) for name, own in zip(names, results, strict=True)]
 
 
 def _describe_slips(model: SessionModel, i: int, config: SessionConfig) -> list[str]:

@@ -189,7 +189,7 @@ class _Hypotheses:
         # All hypotheses have the same offsets of insertion and roll, so the kinematics and their errors are the same.
         self._offsets = np.zeros(len(model.offset_std))
         self._offsets[1] = roll
-        same = Calibration.of(np.eye(4), self._offsets)
+        same = replace(model, endoscope=None).calibration(np.eye(4), self._offsets)
         self._read = model.predict(same)  # as seen from the base
         self._relative = model.camera_from_base(model.calibration(np.eye(4), self._offsets))
         self._root_from_base = inverse(self._read.pose)

@@ -11,7 +11,6 @@ import numpy as np
 from dvrk_cmaes.calibration import autocorrelated_errors
 from dvrk_cmaes.calibration.autocorrelated_errors import without_sides
 from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Mode
-from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, OutlineConfig
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
 from dvrk_cmaes.geometry import Bool, Float64, Posed, moved
@@ -19,7 +18,7 @@ from dvrk_cmaes.joints.prior import split_readings
 from dvrk_cmaes.pose.doubts import LEAST_OVERLAP
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, refine
 from dvrk_cmaes.pose.refine.selection import ALL, Selection
-from dvrk_cmaes.pose.terms.coverage import Coverage, DrawnCoverage
+from dvrk_cmaes.pose.terms.coverage import Coverage, DrawnCoverage, of_margin
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.shared_errors import SIDES
 from dvrk_cmaes.pose.terms.sized_view import SizedView
@@ -77,20 +76,18 @@ class FrameFit:
     ``information`` (D, D), D = 6 + J, is the Gauss-Newton matrix of what the image alone shows at the fit, and
     ``slope`` (D,) the gradient of half its sum of squares.
     ``evaluations`` is the number of silhouettes that were rendered. ``iou`` is the intersection over union of the fit's
-    silhouette and the mask; ``own_iou`` is that of the frame's own estimate, 0 if not given.
-    ``side_offsets`` (2,), px, are by how much the first view's mask lies outwards of both sides of the shaft; None
-    where that is not measured. ``by_masks`` (D, 7) is the change of ``information`` times what the outline shows of the
-    pose, per px of the mean errors of all masks (`mean_errors`); None where that is not measured.
+    silhouette and the mask; ``own_iou`` is that of the frame's own estimate.
+    ``by_margin`` (D,) is the change of ``information`` times what the outline shows of the pose, per px of a margin of
+    all masks.
     """
 
     at: Posed
     information: Float64
     slope: Float64
-    evaluations: int = 0
-    iou: float = 1.0
-    own_iou: float = 0.0
-    side_offsets: Float64 | None = None
-    by_masks: Float64 | None = None
+    by_margin: Float64
+    evaluations: int
+    iou: float
+    own_iou: float
 
     @property
     def explains_mask(self) -> bool:
@@ -132,8 +129,7 @@ class FitPreset:
     weighed anew; or by what the fit drew. ``lines_per_pixel`` are those of the drawings, those of the settings by
     default. Every ``stride``-th point of the outline counts at the end; ``as_seen`` is as in
     `Coverage.near_with_sides`, as in the settings by default. ``sides`` is the factor on the standard deviations of the
-    errors of the shaft's sides. ``in_session`` says whether the frame is one of those that are solved together: the
-    offsets of the shaft's sides are then measured, and else what the mean errors of all masks do.
+    errors of the shaft's sides.
     """
 
     steps: Steps | None = None
@@ -144,13 +140,12 @@ class FitPreset:
     stride: int = 1
     as_seen: bool | None = None
     sides: float = autocorrelated_errors.IN_SESSION
-    in_session: bool = False
 
 
 LINES_PER_PIXEL: Final = 1
 """Lines of the image, for each row of pixels, by which silhouettes are drawn while a recording runs."""
 
-IN_SESSION: Final = FitPreset(in_session=True)
+IN_SESSION: Final = FitPreset()
 """Fit of a frame of a session that is solved, which is fitted again in the next round."""
 
 OF_NEW_FRAME: Final = FitPreset(confirmed=True)
@@ -187,7 +182,6 @@ def fit_frame(
     expected: Expected,
     starts: Sequence[Posed],
     own_estimate: OwnEstimate | None = None,
-    own_cameras: Sequence[Camera] | None = None,
     *,
     margin: float = 0.0,
     lengths: Sequence[float] = (),
@@ -209,8 +203,6 @@ def fit_frame(
         The frame's estimate without the session. The noise of the outlines is measured from its residuals, to which
         the session's prior has not contributed. If None, the noise is estimated during the fit, and measured at its
         end.
-    own_cameras
-        The views' cameras of ``own_estimate``, for images of the same size, where they are not those of the views.
     margin
         Margin of the masks, px, that is taken off all round.
     lengths
@@ -221,9 +213,7 @@ def fit_frame(
     """
     limits, _, _ = split_readings(views[0].renderer.body.instrument, {}, config)
     terms = terms_of_frame(views, limits, config.refine.outline, expected)
-    fit, coverage, seen, count = _refined(
-        views, config, terms, starts, own_estimate, own_cameras, margin, lengths, preset
-    )
+    fit, coverage, seen, count = _refined(views, config, terms, starts, own_estimate, margin, lengths, preset)
     own = own_estimate or OwnEstimate.drawn_as(views, fit.at, seen)
     if preset.noise == "weighed":
         before = coverage.silhouettes
@@ -233,8 +223,10 @@ def fit_frame(
         count += coverage.silhouettes - before
     iou = own.iou if own_estimate is None else overlap(views, seen)
     as_seen = config.session.shadows if preset.as_seen is None else preset.as_seen
-    found = _last_step(fit, coverage, terms, own, preset, len(expected.information), as_seen=as_seen)
-    return replace(found, evaluations=count, iou=iou, own_iou=own.iou), own
+    at, drawn = (fit.drawn_at, fit.drawn) if all(one.outlined for one in fit.drawn) else (fit.at, None)
+    outline, by_margin = _outline_and_margin(coverage, at, own.noises, preset, drawn, as_seen=as_seen)
+    end, slope = _stepped(at, outline, terms)
+    return FrameFit(end, outline.information[0], slope, by_margin, count, iou, own.iou), own
 
 
 def _refined(
@@ -243,7 +235,6 @@ def _refined(
     terms: Sequence[Term],
     starts: Sequence[Posed],
     own_estimate: OwnEstimate | None,
-    own_cameras: Sequence[Camera] | None,
     margin: float,
     lengths: Sequence[float],
     preset: FitPreset,
@@ -261,8 +252,8 @@ def _refined(
     for shrink in (2, 1) if coarse and len(starts) > 1 and views[0].evidence.camera.width >= 320 else (1,):
         coverage = _coverage(views, outline, lengths, shrink, margin)
         if own_estimate is not None:
-            noise = own_estimate.residual if shrink == 1 else None
-            coverage = coverage.changed(noise=_noise(coverage, own_estimate, own_cameras) if noise is None else noise)
+            known = own_estimate.residual
+            coverage = coverage.changed(noise=coverage.noise_at(own_estimate.at) if known is None else known / shrink)
         if preset.of_one and len(starts) > 1:
             at = Posed.stacked([_better_start(coverage, terms, at)])
         if preset.steps is None:
@@ -280,62 +271,26 @@ def _refined(
     return fit, coverage, seen, count + coverage.silhouettes - before
 
 
-def _last_step(
-    fit: Fit,
-    coverage: Coverage,
-    terms: Sequence[Term],
-    own: OwnEstimate,
-    preset: FitPreset,
-    dimension: int,
-    *,
-    as_seen: bool,
-) -> FrameFit:
-    """Return a fit of ``dimension`` unknowns after a step with what the masks share eliminated.
-
-    It is from where the fit was drawn last, which is at most a small step away, if it has its outline.
-    """
-    start, drawn = (fit.drawn_at, fit.drawn) if all(one.outlined for one in fit.drawn) else (fit.at, None)
-    by_masks = None
-    if preset.in_session:
-        whole = coverage.near_with_sides(start, own.noises, drawn=drawn, stride=preset.stride, as_seen=as_seen)
-        outline = without_sides(whole, whole.dimension - dimension, preset.sides)
-    else:
-        outline, by_masks = outline_and_masks(
-            coverage, start, own.noises, preset.sides, drawn, stride=preset.stride, as_seen=as_seen
-        )
-    end, slope = _stepped(start, outline, terms)
-    return FrameFit(
-        end,
-        information=outline.information[0],
-        slope=slope,
-        side_offsets=coverage.views[0].side_offsets(end) if preset.in_session else None,
-        by_masks=by_masks,
-    )
-
-
-def outline_and_masks(
+def _outline_and_margin(
     coverage: Coverage,
     at: Posed,
     noises: Sequence[OutlineNoise],
-    sides: float,
+    preset: FitPreset,
     drawn: DrawnCoverage | None,
     *,
-    stride: int = 1,
     as_seen: bool,
 ) -> tuple[Quadratic, Float64]:
-    """Return the outline's terms (1, D) near a pose, and what the mean errors of all masks do to them, (D, 7).
+    """Return the outline's terms (1, D) near a pose, and what a margin of all masks does to them, as in `FrameFit`.
 
-    ``sides`` is as in `FitPreset`; the errors of the shaft's sides are eliminated. An error on a side that the fit
-    discounts, since the mask shows it there, hardly changes what the fit shows. Other arguments are those of
-    `Coverage.near_with_sides`, the result is as ``by_masks`` of `FrameFit`.
+    The errors of the shaft's sides are eliminated.
     """
 
-    def errors(number: int, outline: OutlinePoints, by_pose: Float64) -> Float64:
-        return coverage.views[number].mean_errors(outline, at)
+    def margin(number: int, outline: OutlinePoints, by_pose: Float64) -> Float64:
+        return of_margin(outline)[:, None]
 
-    whole = coverage.near_with_sides(at, noises, errors, drawn, stride=stride, as_seen=as_seen)
-    both, own = without_sides(whole, SIDES * len(coverage.views), sides), 6 + len(at.joints)
-    return Quadratic(both.information[:, :own, :own], both.slope[:, :own]), both.information[0, :own, own:]
+    whole = coverage.near_with_sides(at, noises, margin, drawn, stride=preset.stride, as_seen=as_seen)
+    both, own = without_sides(whole, SIDES * len(coverage.views), preset.sides), 6 + len(at.joints)
+    return Quadratic(both.information[:, :own, :own], both.slope[:, :own]), both.information[0, :own, own]
 
 
 def _better_start(coverage: Coverage, terms: Sequence[Term], starts: Posed) -> Posed:
@@ -368,7 +323,7 @@ def _stepped(at: Posed, outline: Quadratic, terms: Sequence[Term]) -> tuple[Pose
 def with_noise(own_estimate: OwnEstimate, views: Sequence[FrameView], config: EstimateConfig) -> OwnEstimate:
     """Return a frame's own estimate with the noise of the residuals there; arguments as in `fit_frame`."""
     coverage = _coverage(views, _outline(config, IN_SESSION), own_estimate.lengths)
-    return replace(own_estimate, residual=_noise(coverage, own_estimate, None))
+    return replace(own_estimate, residual=coverage.noise_at(own_estimate.at))
 
 
 def _outline(config: EstimateConfig, preset: FitPreset) -> OutlineConfig:
@@ -388,13 +343,6 @@ def _coverage(
     """Return the coverage of a frame's views at 1 / ``shrink`` of the image size; the others as in `fit_frame`."""
     sized = [SizedView(view, blur=outline.blur, shrink=shrink, margin=margin) for view in views]
     return Coverage(sized, outline, correlations=lengths)
-
-
-def _noise(coverage: Coverage, own_estimate: OwnEstimate, cameras: Sequence[Camera] | None) -> float:
-    """Measure the noise at the own estimate, whose cameras may be other ones, as in `fit_frame`."""
-    if cameras is not None:
-        coverage = coverage.changed([view.with_camera(one) for view, one in zip(coverage.views, cameras, strict=True)])
-    return coverage.noise_at(own_estimate.at)
 
 
 _SETTLED = 0.15  # standard deviations per parameter; a frame whose fit would move by less is not fitted again

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, Final, Self, TypeVar
 
 import numpy as np
@@ -67,18 +66,8 @@ class SessionFrame:
             return NOT_READ
         return ""
 
-    def with_data(self, change: Callable[[FrameData], FrameData]) -> Self:
-        """Return the frame with data that are changed once they are read.
-
-        Parameters
-        ----------
-        change
-            Changes the data of the frame; picklable.
-        """
-        return replace(self, data=partial(_changed_data, self.data, change))
-
     def with_turned_views(self, rotations: Mapping[str, Float64]) -> Self:
-        """Return the frame with further views turned, by name; its own result says by how much they are turned still.
+        """Return the frame whose own result says by how much its further views are turned still, if they are turned.
 
         Parameters
         ----------
@@ -91,8 +80,7 @@ class SessionFrame:
             else check
             for check in self.result.view_fits
         )
-        turned = replace(self, result=replace(self.result, view_fits=checks))
-        return turned.with_data(partial(_with_turned_views, rotations))
+        return replace(self, result=replace(self.result, view_fits=checks))
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,33 +129,22 @@ class FrameReport:
     end_missing: bool
 
 
-def gather_task(body: Body, config: EstimateConfig, frame: SessionFrame) -> StoredFrame:
-    """Read a frame with a pose, gather its evidence, and measure its own estimate."""
-    data = read_data(frame.data)
-    return StoredFrame.of(
-        data, posed(frame.result, body.instrument.joint_names), body, config, frame.keypoints, features=not frame.brief
-    )
+def gather_task(
+    body: Body, config: EstimateConfig, task: tuple[SessionFrame, Mapping[str, Float64], Float64 | None]
+) -> StoredFrame:
+    """Read a frame with a pose, gather its evidence, and measure its own estimate.
 
-
-def read_data(data: FrameData | Callable[[], FrameData]) -> FrameData:
-    """Return the data of a frame, or what the function that reads them returns."""
-    return data if isinstance(data, FrameData) else data()
-
-
-def _changed_data(data: FrameData | Callable[[], FrameData], change: Callable[[FrameData], FrameData]) -> FrameData:
-    """Read the data of a frame, and change them."""
-    return change(read_data(data))
-
-
-def with_changed_cameras(change: Float64, data: FrameData) -> FrameData:
-    """Return data with cameras changed as by `changed`; the shift is in images of the first view."""
-    width = data.camera.width
-    return replace(data, views=tuple(replace(v, camera=changed(v.camera, change, width)) for v in data.views))
-
-
-def _with_turned_views(rotations: Mapping[str, Float64], data: FrameData) -> FrameData:
-    """Return data with turned views."""
-    return replace(data, views=turned_views(data.views, rotations))
+    The task is the frame, the rotations (3,), rad, by name of views that differ from the rig's file, and the change
+    (3,) of all cameras, as of `changed`, None for those of the files.
+    """
+    frame, turns, change = task
+    data = frame.data if isinstance(frame.data, FrameData) else frame.data()
+    views = turned_views(data.views, turns)
+    if change is not None:
+        views = tuple(replace(view, camera=changed(view.camera, change, data.camera.width)) for view in views)
+    own = posed(frame.result, body.instrument.joint_names)
+    data = replace(data, views=views)
+    return StoredFrame.of(data, own, body, config, frame.keypoints, features=not frame.brief)
 
 
 def fit_task(
@@ -178,14 +155,10 @@ def fit_task(
     """Fit a frame to its outline, with the session's prediction as a prior.
 
     The task is the frame's stored evidence, what is expected of it and the starts, as in `fit_frame`, the change (3,)
-    of all cameras for the fit, as of `changed`, where they are not those of the evidence and of the own estimate, and
-    the margin of the masks, px.
+    of all cameras for the fit, as of `changed`, where they are not those of the evidence, and the margin, px, of masks.
     """
     stored, expected, starts, change, margin = task
-    own_cameras = None if change is None else [view.evidence.camera for view in stored.views]
-    views = restored_views(body, stored, change)
-    fit, _ = fit_frame(views, config, expected, starts, stored.own, own_cameras=own_cameras, margin=margin)
-    return fit
+    return fit_frame(restored_views(body, stored, change), config, expected, starts, stored.own, margin=margin)[0]
 
 
 def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameReport:

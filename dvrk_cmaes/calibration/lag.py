@@ -49,6 +49,10 @@ NOT_INTERPOLABLE: Final = (
     "the recording, with times"
 )
 """Why no lag is looked for."""
+NO_ORDER: Final = (
+    "the frames have no order: name them by numbers, or give the times of images (images.csv) and readings"
+)
+"""Why none can be."""
 
 # readings
 _FRAME_SECONDS = 1 / 30  # between images that have no times
@@ -217,7 +221,14 @@ class SessionLag:
             The given lag is not known in the unit of the series, or there are no readings to take it out of.
         """
         if series is None or not all(name in series.frames for name in names):
-            return cls._without_order(len(names), given)
+            without_order = cls(None, np.full(len(names), np.nan), undetermined=NO_ORDER)
+            if given is None:
+                return without_order
+            if given.frames or given.seconds:
+                raise InputError(
+                    "lag: expected readings of numbered frames, or times of images and readings, got neither"
+                )
+            return replace(without_order, lag=Lag.of(0.0, 0.0, "frames", 1.0, applied=False), fixed=True)
         low, high = RANGE[series.unit]
         postures = series.unit == "frames" and series.jumps(OUTER_JOINTS, _ROUGH * outer_std)
         interpolable = not postures and series.is_interpolable(OUTER_JOINTS, _ROUGH * outer_std)
@@ -228,23 +239,6 @@ class SessionLag:
             lag = Lag.of(value, 0.0, series.unit, series.interval, applied=value != 0)
             return replace(found, lag=lag, fixed=True)
         return found if interpolable else replace(found, undetermined=NOT_INTERPOLABLE)
-
-    @classmethod
-    def _without_order(cls, frames: int, given: Lag | None) -> SessionLag:
-        """Return that of frames without an order, of which only a lag of zero may be given."""
-        times = np.full(frames, np.nan)
-        if given is not None:
-            if given.frames or given.seconds:
-                raise InputError(
-                    "lag: expected readings of numbered frames, or times of images and readings, got neither"
-                )
-            return cls(None, times, lag=Lag.of(0.0, 0.0, "frames", 1.0, applied=False), fixed=True)
-        return cls(
-            None,
-            times,
-            undetermined="the frames have no order: name them by numbers, or give the times of images (images.csv) and "
-            "readings",
-        )
 
     def subset(self, index: Sequence[int] | Indices) -> SessionLag:
         """Return that of the frames at some indices."""
@@ -503,20 +497,14 @@ def in_common(lags: Sequence[SessionLag]) -> list[SessionLag]:
     An arm whose frames do not show its lag has that of the others. A lag that disagrees, or at which few
     frames would have readings, is that of its arm alone: arms may have clocks of their own.
     """
-    if len(lags) < 2:
-        return list(lags)
+    found = np.array([known for lag in lags if (known := lag.known) is not None])
     units = {lag.series.unit for lag in lags if lag.series is not None}
-    usable = [lag.interpolable and not lag.fixed and (lag.lag is None or lag.known is not None) for lag in lags]
-    found = [known for lag, use in zip(lags, usable, strict=True) if use and (known := lag.known) is not None]
-    if len(units) != 1 or not all(usable) or not found:
+    if len(lags) < 2 or not len(found) or len(units) > 1 or not all(lag.interpolable and not lag.fixed for lag in lags):
         return list(lags)
-    values, stds = np.array(found).T
+    values, stds = found.T
     weights = stds**-2.0
-    mean, std = weights @ values / weights.sum(), weights.sum() ** -0.5
-    if (np.abs(values - mean) > _AGREE * stds).any():
-        return list(lags)
-    common = Refined(float(mean), float(std))
-    shared = [lag.with_estimate(common) for lag in lags]
-    if not all(lag.lag is not None and lag.has_readings(lag.value).sum() >= _LEAST_AT_LAG for lag in shared):
-        return list(lags)
-    return shared
+    mean = float(weights @ values / weights.sum())
+    shared = [lag.with_estimate(Refined(mean, float(weights.sum() ** -0.5))) for lag in lags]
+    agree = (np.abs(values - mean) <= _AGREE * stds).all()
+    usable = all(lag.lag is not None and lag.has_readings(lag.value).sum() >= _LEAST_AT_LAG for lag in shared)
+    return shared if agree and usable else list(lags)

@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.autocorrelated_errors import IN_SESSION, CommonErrors, without_sides
 from dvrk_cmaes.calibration.blocks import Calibration, OutlineOfView, SeenBlock, ViewAsSeen
@@ -25,10 +24,9 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.pose.terms.coverage import Coverage
-from dvrk_cmaes.pose.terms.shared_errors import SIDES, image_axis
+from dvrk_cmaes.pose.terms.shared_errors import SIDES
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic
-from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import Body, OutlinePoints
 
 _SETTLED = 0.25  # standard deviations of the blocks, below which the outlines are not linearised again
@@ -51,7 +49,7 @@ def outline_task(
         own = with_noise(own, [frame.views[number].restored(body)], config)
     outline = replace(config.refine.outline, cauchy=config.session.cauchy)
     at = _as_large(at, by)
-    sized = SizedView(view, blur=outline.blur, margin=_margins(view, at, by) if any(by.sides) else by.margin)
+    sized = SizedView(view, blur=outline.blur, margin=by.margin)
     coverage = Coverage([sized], outline, correlations=own.lengths)
     (drawn,) = coverage.draw(Posed.stacked([at]))
     assert own.residual is not None
@@ -73,15 +71,6 @@ def _as_large(at: Posed, by: ViewAsSeen) -> Posed:
     pose = by.place @ at.pose
     pose[:3, 3] /= by.scale
     return Posed(inverse(by.place) @ pose, at.joints)
-
-
-def _margins(view: FrameView, at: Posed, by: ViewAsSeen) -> NDArray[np.float32]:
-    """Return the margin (H, W), px, of a mask that lies outwards of both sides of the shaft of a pose."""
-    seen, camera = at.seen_from(by.place), by.camera
-    along, aside = image_axis(view.renderer.body.instrument, camera, seen)
-    v, u = np.indices(view.evidence.mask.shape) - camera.project(seen.pose[None, :3, 3])[0][::-1, None, None]
-    beside = np.where(v * along > u * aside, *by.sides)
-    return np.asarray(by.margin + np.where(u * along + v * aside < 0, beside, 0.0), dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)

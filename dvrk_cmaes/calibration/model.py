@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.blocks import Calibration, Offsets
+from dvrk_cmaes.calibration.blocks import BASE, OFFSETS, Base, Calibration, Offsets
 from dvrk_cmaes.calibration.endoscope import Endoscope
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.geometry import Bool, Float64, Posed, adjoint, inverse
@@ -147,8 +147,7 @@ class SessionModel:
 
     def calibration(self, camera_from_base: Float64, offsets: Float64) -> Calibration:
         """Return that of a base (4, 4), m, and offsets (2 + J,); an endoscope has the values of its start."""
-        found = Calibration.of(camera_from_base, offsets)
-        found = found.with_blocks(Offsets(self.offset_std, self.names))
+        found = Calibration((Base(), Offsets(self.offset_std, self.names)), {BASE: camera_from_base, OFFSETS: offsets})
         return (
             found if self.endoscope is None else found.with_blocks(self.endoscope.block, endoscope=self.endoscope.start)
         )
@@ -207,14 +206,23 @@ class SessionModel:
         out[:, count:, own:] = np.eye(further)
         return out
 
+    def by_readings(self, calibration: Calibration) -> Float64:
+        """Compute the changes (N, 6 + J, 4 + J) of the predictions by the readings of outer joints and joints.
+
+        They are in the root's axes and of the joints, m and rad; zero by a joint that has no reading.
+        """
+        count = len(self.names)
+        out = np.zeros((len(self.outer), 6 + count, 4 + count))
+        out[:, :6, :4] = self._kinematics(calibration.offsets)[1]
+        out[:, 6:, 4:] = np.eye(count) * self._has_reading[:, None]
+        return out
+
     def outer_loadings(self, calibration: Calibration) -> Float64:
         """Compute the change (4, N, 6 + J) of each frame for one standard deviation of each outer joint's error.
 
         Changes are in the root's axes, m and rad.
         """
-        jacobian = self._kinematics(calibration.offsets)[1]
-        out = np.zeros((len(OUTER_JOINTS), len(jacobian), 6 + len(self.names)))
-        out[:, :, :6] = np.moveaxis(jacobian * self.deviations.outer, 2, 0)
+        out = np.moveaxis(self.by_readings(calibration)[:, :, :4] * self.deviations.outer, 2, 0)
         out[3] *= self.inflation[:, :1]
         return out
 

@@ -11,11 +11,11 @@ import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import InFrames
-from dvrk_cmaes.calibration.frame_fit import OF_NEW_FRAME, FrameFit, OwnEstimate, fit_frame
+from dvrk_cmaes.calibration.frame_fit import OF_NEW_FRAME, OwnEstimate, fit_frame
 from dvrk_cmaes.calibration.model import outer_readings
-from dvrk_cmaes.calibration.session_masks import covariance_of_masks
+from dvrk_cmaes.calibration.session_masks import covariance_of_margin
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.geometry import Bool, Float64, Indices, Posed, inverse
+from dvrk_cmaes.geometry import Bool, Float64, Posed, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.interpolation import LEAST_ERROR
 from dvrk_cmaes.joints.prior import Readings
@@ -25,9 +25,9 @@ from dvrk_cmaes.pose.find_pose import FoundPose
 from dvrk_cmaes.pose.judge import doubts_in_views, doubts_of_agreement
 from dvrk_cmaes.pose.probability import tip_probability
 from dvrk_cmaes.pose.quality import measure_views, pooled_quality
+from dvrk_cmaes.pose.refine.elimination import times
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.views import FrameView
-from dvrk_cmaes.results.result import Quality
 
 ROLL: Final = 5
 """Index, among the changes of pose and joints, of the first that is an error of the wrist: roll."""
@@ -38,7 +38,6 @@ In 12 recordings with known truth the wrist was 1.5 to 2.5 standard deviations (
 keyframes before an image expect; the arm was 0.5 to 1.
 """
 _UNREAD_M, _UNREAD_RAD = 0.01, 0.2  # standard deviations of the arm's motion where its readings are missing or frozen
-_STEP = 1e-3  # of a change of the readings, of the difference by which the change of the pose is found
 
 
 def endoscope_at(calibration: SessionCalibration, time: float | None, ecm: Float64 | None) -> InFrames | None:
@@ -64,35 +63,6 @@ def endoscope_in(
         return None
     found = calibration.endoscope.in_frames(calibration.camera_from_base, ecm, times, names)
     return None if isinstance(found, str) else found
-
-
-def _changes(late: Float64 | None, errors: Float64 | None, joints: int) -> Float64:
-    """Return the changes (C, N, 4 + J) of N images' readings that follow from a lag's error, and one outer joint's."""
-    changes = [] if late is None else [late]
-    if errors is not None:
-        counted = np.where(errors > LEAST_ERROR, errors, 0.0)
-        changes += list(counted.T[:, :, None] * np.eye(counted.shape[1] + joints)[: counted.shape[1], None])
-    return np.array(changes) if changes else np.zeros((0, 0, 0))
-
-
-def _by_changes(
-    calibration: SessionCalibration,
-    outer: Float64,
-    joints: Float64,
-    joint_names: tuple[str, ...],
-    changes: Float64,
-    endoscope: InFrames | None,
-    at: Posed,
-) -> tuple[Indices, Float64]:
-    """Return the images whose readings change (C, N, 4 + J), and the changes (M, D) of what is predicted of them."""
-    which, image = np.nonzero(changes.any(axis=2))
-    if not len(image):
-        return image, np.zeros((0, 6 + len(joint_names)))
-    readings = np.concatenate([outer, joints], axis=1)[image] + _STEP * changes[which, image]
-    there = None if endoscope is None else (endoscope[0].subset(image), endoscope[1])
-    moved_outer, moved_joints = np.split(readings, [outer.shape[1]], axis=1)
-    moved_model, same = calibration.model(moved_outer, moved_joints, joint_names, there)
-    return image, moved_model.predict(same).minus(at[image]) / _STEP
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,9 +129,13 @@ class Prediction:
         jacobian = np.pad(jacobian, ((0, 0), (0, 0), (0, len(covariance) - jacobian.shape[2])))
         wide = np.diag([_UNREAD_M**2] * 3 + [_UNREAD_RAD**2] * (3 + len(joint_names)))
         prior[~(outer_read if moving is None else outer_read & moving)] += wide
-        changes = _changes(late, errors, len(joint_names))
-        image, off = _by_changes(calibration, outer, joints, joint_names, changes, endoscope, at)
-        np.add.at(prior, image, off[:, :, None] * off[:, None, :])
+        by_readings = model.by_readings(own)
+        if late is not None:
+            of_lag = times(by_readings, np.nan_to_num(late))
+            prior += of_lag[:, :, None] * of_lag[:, None, :]
+        if errors is not None:
+            off = by_readings[:, :, :4] * np.where(errors > LEAST_ERROR, errors, 0.0)[:, None, :]
+            prior += off @ off.swapaxes(1, 2)
         factor = np.ones(prior.shape[-1])
         factor[ROLL:] = wrist
         shared = jacobian @ covariance @ jacobian.swapaxes(1, 2)
@@ -296,27 +270,10 @@ def fit_session_pose(
     camera = views[0].evidence.camera
     if doubts := doubts_of_agreement("solved", misfit, config.session, quality, usual, camera.pixel_scale):
         return f"session: {'; '.join(doubts)}: searched anew"
-    return _found(session, views, fit, first.evaluations, predicted, expected, qualities, rays, config)
-
-
-def _found(
-    session: SessionCalibration,
-    views: Sequence[FrameView],
-    fit: FrameFit,
-    evaluations: int,
-    predicted: Prediction,
-    expected: Expected,
-    qualities: Sequence[Quality],
-    rays: int,
-    config: EstimateConfig,
-) -> FoundPose:
-    """Return a fit with its covariance and what is doubtful of it; numbers of silhouettes and rays are those before."""
-    camera, instrument = views[0].evidence.camera, views[0].renderer.body.instrument
     fitted = np.asarray(np.linalg.inv(fit.information + expected.information), dtype=np.float64)
-    assert fit.by_masks is not None
-    by_masks = fitted @ fit.by_masks
+    by_margin = fitted @ fit.by_margin
     by_calibration = fitted @ expected.information @ predicted.jacobian[0]
-    fitted += covariance_of_masks(session.masks, by_masks, by_calibration)
+    fitted += covariance_of_margin(session.masks, by_margin, by_calibration)
     of_camera = covariance_by_camera(instrument, camera, fit.at, session.camera_errors)
     error = expected_error(instrument, fit.at, fitted, of_camera)
     reasons, remarks = doubts_in_views(fit.at, views, qualities, error, config.trust, "solved")
@@ -325,9 +282,9 @@ def _found(
         covariance=fitted,
         expected_error=error,
         tip_probability=tip_probability(error.of_tips_mm, config.trust.tip_mm),
-        quality=pooled_quality(qualities),
+        quality=quality,
         reasons=tuple(reasons),
-        evaluations=evaluations + fit.evaluations + sum(view.renderer.poses for view in views),
+        evaluations=first.evaluations + fit.evaluations + sum(view.renderer.poses for view in views),
         rays=rays + sum(view.renderer.rays for view in views),
         camera_from_base=np.asarray(fit.at.pose @ inverse(predicted.base_from_root[0])),
         notes=tuple(remarks),

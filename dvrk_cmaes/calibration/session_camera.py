@@ -27,7 +27,7 @@ from dvrk_cmaes.calibration.linearise import (
     with_new_blocks,
 )
 from dvrk_cmaes.calibration.model import SessionModel
-from dvrk_cmaes.calibration.session_masks import BIAS, BiasEstimate, MaskBias, estimate_bias
+from dvrk_cmaes.calibration.session_masks import MarginEffect
 from dvrk_cmaes.calibration.session_shaft import SIZES, SessionShaft, usual_sizes
 from dvrk_cmaes.calibration.solve import FrameFits, inverse_information
 from dvrk_cmaes.calibration.stored_frame import changed
@@ -272,8 +272,8 @@ class CameraCheck:
 
     ``camera`` is None where the session does not test it, and ``undetermined`` then says why. ``covariance`` (K, K) is
     the mean square of the calibration's errors, in the order of `SessionModel.axes`, that errors of the camera cause.
-    ``bias`` and ``shaft`` are what the outlines show of errors of the masks on some sides, with the camera, and of
-    the radius of the shaft, with the camera of the file; None where the camera cannot be changed. ``blocks`` are what
+    ``of_margin`` and ``shaft`` are what a margin of the masks does, and what the outlines show of the radius of the
+    shaft, with the camera of the file; None where the camera cannot be changed. ``blocks`` are what
     is found of those that state themselves (`SeenBlock.stated`). ``square`` (3, 3)
     is the mean square of what is wrong with the camera that was used; None where it is not tested.
     """
@@ -281,7 +281,7 @@ class CameraCheck:
     camera: SessionCamera | None
     undetermined: str
     covariance: Float64
-    bias: BiasEstimate | None = None
+    of_margin: MarginEffect | None = None
     shaft: SessionShaft | None = None
     blocks: Mapping[str, FoundBlock] = field(default_factory=dict)
     square: Float64 | None = None
@@ -371,7 +371,7 @@ def check_camera(
             blocks = [tuple(file if one.name == CAMERA else one for one in arm.outlines.blocks) for arm in arms]
             pairs = zip(arms, blocks, strict=True)
             by_file = [arm._replace(outlines=replace(arm.outlines, blocks=own)) for arm, own in pairs]
-            first = estimate_camera(by_file, config, passes=_FILE_PASSES, names=(SIZES, BIAS), first=begun)
+            first = estimate_camera(by_file, config, passes=_FILE_PASSES, names=(SIZES,), first=begun)
     except InputError as error:
         return [CameraCheck(None, f"camera: {error}", np.zeros((arm.calibration.alone().own,) * 2)) for arm in arms]
     each = zip(found, first, arms, strict=True)
@@ -395,14 +395,12 @@ def _checked(
     calibration, file = there.solution.calibration, file_deviations(outlines.camera, config.camera)
     own, count = calibration.place(CAMERA), calibration.own
     change, covariance, known = there.value(CAMERA), there.covariance[own, own], {CAMERA: file}
-    bias, shaft = None, None
-    for block in outlines.blocks:
-        if isinstance(block, MaskBias):
-            known[SIZES] = usual_sizes(config.camera)
-            bias = estimate_bias(first, block, known if applied is None else {SIZES: known[SIZES]})
-            known[BIAS] = bias.std_px
-            values, spread = there.with_std({**known, CAMERA: _WEAK_STD})
-            change, covariance, shaft = values[own], spread[own, own], SessionShaft.of(first, known)
+    of_margin, shaft = None, None
+    if any(block.name == SIZES for block in outlines.blocks):
+        known[SIZES] = usual_sizes(config.camera)
+        values, spread = there.with_std({**known, CAMERA: _WEAK_STD})
+        change, covariance, shaft = values[own], spread[own, own], SessionShaft.of(first, known)
+        of_margin = MarginEffect.of(first)
     blocks, of_blocks = _stated(there, outlines.blocks, known, config.session.shared_errors)
     covariance = config.session.shared_errors**2 * covariance
     change = change if applied is None else applied
@@ -417,8 +415,8 @@ def _checked(
     moves = -inverse_information(there.information[:count, :count]) @ there.information[:count, own]
     of_camera = moves @ square @ moves.T + of_blocks
     if reason is not None:
-        return CameraCheck(None, reason, of_camera, bias, shaft, blocks)
-    return CameraCheck(camera, "", of_camera, bias, shaft, blocks, square)
+        return CameraCheck(None, reason, of_camera, of_margin, shaft, blocks)
+    return CameraCheck(camera, "", of_camera, of_margin, shaft, blocks, square)
 
 
 def _mean_square(change: Float64, covariance: Float64, file: Float64) -> Float64:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -27,8 +26,8 @@ from dvrk_cmaes.calibration.consensus import (
 )
 from dvrk_cmaes.calibration.endoscope_search import describe_pieces, find_pieces
 from dvrk_cmaes.calibration.frame_fit import FrameFit, first_starts, next_starts
-from dvrk_cmaes.calibration.frame_task import Run, SessionFrame, fit_task, gather_task, with_changed_cameras
-from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, SessionLag, in_common
+from dvrk_cmaes.calibration.frame_task import Run, SessionFrame, fit_task, gather_task
+from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, SessionLag
 from dvrk_cmaes.calibration.linearise import ArmOutlines, SessionOutlines
 from dvrk_cmaes.calibration.model import Deviations, SessionModel
 from dvrk_cmaes.calibration.session_camera import (
@@ -43,14 +42,11 @@ from dvrk_cmaes.calibration.session_camera import (
     file_deviations,
 )
 from dvrk_cmaes.calibration.session_masks import (
-    BiasEstimate,
-    Margin,
-    MaskBias,
     MaskMargin,
     SessionMasks,
     estimate_margin,
 )
-from dvrk_cmaes.calibration.session_rig import ViewRotation
+from dvrk_cmaes.calibration.session_rig import ViewRotation, turns_of
 from dvrk_cmaes.calibration.session_shaft import InstrumentSizes
 from dvrk_cmaes.calibration.solve import (
     ArmFrames,
@@ -70,7 +66,6 @@ from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.doubts import DISAGREES, frame_disagrees
-from dvrk_cmaes.pose.terms.expected import Expected
 
 TESTED: Final[tuple[Callable[[EstimateConfig, Camera], SeenBlock], ...]] = (Lens,)
 """What makes the further blocks that every session is tested for, each of which states itself."""
@@ -94,7 +89,6 @@ class ArmSetup:
     ``refine_camera`` is whether the change of the camera that the frames fit is used, ``guessed_camera`` whether the
     frames' camera is a guess, of which there is no file. ``may_cut`` is whether the session may be cut into pieces
     between which the base moved. ``lag`` is the one that is taken out of the readings, None to look for it.
-    ``gathered`` keeps the frames' evidence by name, for all solutions.
     """
 
     series: ReadingSeries | None
@@ -107,7 +101,6 @@ class ArmSetup:
     guessed_camera: bool = False
     may_cut: bool = True
     lag: Lag | None = None
-    gathered: dict[str, StoredFrame] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,8 +115,8 @@ class ArmSession:
 
     ``change`` (3,) is that of the camera, as of `stored_frame.changed`, None where the camera's file is used, and
     ``camera_found`` whether its last estimate is plausible; ``rig`` what the further views differ in from the
-    file; ``margin`` that of the masks, None until it is estimated; ``bias`` what is known of
-    their errors on some sides, None until estimated.
+    file; ``masks`` states the margin of the masks, ``check`` is the test of the camera, None until
+    they are known.
 
     ``remarks`` are about faults of the session as a whole that are put right, ``undetermined`` about what it does not
     determine; ``left_out`` are the reasons for which frames are left out, by name.
@@ -137,8 +130,8 @@ class ArmSession:
     rig: tuple[ViewRotation, ...] = ()
     change: Float64 | None = None
     camera_found: bool = False
-    margin: Margin | None = None
-    bias: BiasEstimate | None = None
+    masks: SessionMasks | None = None
+    check: CameraCheck | None = None
     cables: tuple[CableFit, CableFit] | None = None
     stored: tuple[StoredFrame, ...] = ()
     fits: tuple[FrameFit, ...] = ()
@@ -203,11 +196,6 @@ class ArmSession:
         return np.full(len(self.frames), np.nan) if read is None else read
 
     @property
-    def masks(self) -> SessionMasks | None:
-        """What is stated of errors that the masks share; None if their margin was not estimated."""
-        return None if self.margin is None else SessionMasks.of(self.margin, self.bias)
-
-    @property
     def taken_off(self) -> float:
         """Margin, px, that is taken off all masks."""
         return 0.0 if self.masks is None else self.masks.taken_off
@@ -223,18 +211,19 @@ class ArmSession:
         fits = [fit if fit.explains_mask or keep_all else fit.without_outline() for fit in self.fits]
         return FrameFits.of(fits, self.common)
 
-    def view_as_blocks(self, *, file_is_prior: bool = False) -> SessionOutlines:
-        """Return the outlines of all frames in one view, as functions of the camera and the margin.
+    def outlined(self, *tested: SeenBlock, file_is_prior: bool = False) -> ArmOutlines:
+        """Return the outlines of all frames in one view about their fits, as functions of camera, margin and others.
 
         The view is that of the reference camera; another one if that does not show the instrument in any frame.
-        ``file_is_prior`` is whether the camera's file is the prior of the camera.
+        ``file_is_prior`` is whether the camera's file is the prior of the camera, ``tested`` are the other blocks.
         """
         shown = [stored for stored in self.stored if stored.in_reference] or self.stored
         name, pairs = str(shown[0].views[0].name), zip(self.fits, self.stored, strict=True)
         numbers = [stored.number_of(name) if fit.explains_mask else None for fit, stored in pairs]
         file = file_deviations(self.stored[0].camera, self.setup.config.camera) if file_is_prior else None
-        blocks = CameraChange(file, self.change), MaskMargin(self.taken_off)
-        return SessionOutlines(self.stored, numbers, self.setup.run, self.common, blocks)
+        blocks = CameraChange(file, self.change), MaskMargin(self.taken_off), *tested
+        outlines = SessionOutlines(self.stored, numbers, self.setup.run, self.common, blocks)
+        return ArmOutlines(self.model, self.solution.calibration, Posed.stacked(one.at for one in self.fits), outlines)
 
     @property
     def disagreements(self) -> list[str]:
@@ -243,9 +232,9 @@ class ArmSession:
         return [self._disagreement(fit, misfit) for fit, misfit in zip(self.fits, misfits.tolist(), strict=True)]
 
     @property
-    def agreeing(self) -> list[bool]:
-        """Whether each frame agrees with the session."""
-        return [not text for text in self.disagreements]
+    def agreeing(self) -> int:
+        """Number of frames that agree with the session."""
+        return self.disagreements.count("")
 
     def _disagreement(self, fit: FrameFit, misfit: float = 0.0) -> str:
         """Say why a fit disagrees, whose squared distance from what is expected, per parameter, is ``misfit``."""
@@ -354,8 +343,10 @@ def solved(arms: Arms) -> Arms:
         for arm in arms:
             arm.setup.progress(f"round {number} of {_ROUNDS}", len(arm.frames))
         scale = setup.config.session.loosened ** max(1 - (number - 1) / 2, 0.0)
-        arms = _round(arms, scale, last=number == _ROUNDS)
-        if setup.refine_camera and number < _ROUNDS:
+        last = number == _ROUNDS
+        fitted = [_fitted_in(arm, scale, last=last) for arm in arms]
+        arms = _estimated(fitted, keep_all=scale != 1.0, last=last)
+        if setup.refine_camera and not last:
             arms = _with_camera(arms)
         elif number == _ROUNDS - 1:
             arms = _with_margin(arms)
@@ -366,57 +357,30 @@ def solved(arms: Arms) -> Arms:
 
 def _with_evidence(arm: ArmSession) -> ArmSession:
     """Gather the evidence of an arm's frames."""
-    setup = arm.setup
-    setup.progress("gathering evidence", len(arm.frames))
-    missing = [frame for frame in arm.frames if frame.name not in setup.gathered]
-    setup.gathered.update(zip((frame.name for frame in missing), setup.run(gather_task, missing), strict=True))
-    return replace(arm, stored=tuple(setup.gathered[frame.name] for frame in arm.frames))
-
-
-def _round(arms: Arms, scale: float, *, last: bool) -> Arms:
-    """Fit all frames to what the blocks predict, and estimate these from the fits.
-
-    ``scale`` is a factor on the standard deviations of the predictions. Fits that do not explain the mask only count
-    where these are widened.
-    """
-    fitted = [_fitted_in(arm, scale, last=last) for arm in arms]
-    try:
-        return _estimated(fitted, keep_all=scale != 1.0, last=last)
-    except InputError as error:
-        if arms[0].setup.refine_camera and arms[0].camera_found:
-            raise arms[0].camera_refused(IMPLAUSIBLE) from error
-        raise
+    arm.setup.progress("gathering evidence", len(arm.frames))
+    tasks = [(frame, turns_of(arm.rig), None) for frame in arm.frames]
+    return replace(arm, stored=tuple(arm.setup.run(gather_task, tasks)))
 
 
 def _fitted_in(arm: ArmSession, scale: float, *, last: bool) -> ArmSession:
-    """Fit the frames of an arm in a round, each from its starts."""
+    """Fit the frames of an arm in a round, each from its starts.
+
+    A frame without any keeps the linearisation of its outline, whose minimum is its fit in the ``last`` round.
+    """
     angle = float(np.deg2rad(arm.setup.config.session.turn_deg))
     expected = arm.model.priors(arm.calibration, scale=scale)
-    misfit = arm.solution.misfit / (6 + len(arm.model.names))
+    misfit, starts = arm.solution.misfit / (6 + len(arm.model.names)), list[tuple[Posed, ...]]()
     if not arm.fits:
         chosen = choose_modes(arm.model, arm.modes, arm.solution.calibration)
         pairs = zip(arm.modes, chosen, misfit, expected, strict=True)
-        return _fitted(arm, expected, [first_starts(*of_frame, angle) for of_frame in pairs], last=last)
-    starts = []
+        starts = [first_starts(*of_frame, angle) for of_frame in pairs]
     for i, fit in enumerate(arm.fits):
         own = float(misfit[i]) if fit.explains_mask else np.inf
         moved = None if arm.moved is None else arm.moved[i]
         starts.append(next_starts(fit, own, expected[i], angle, moved))
-    return _fitted(arm, expected, starts, last=last)
-
-
-def _fitted(
-    arm: ArmSession, expected: Sequence[Expected], starts: Sequence[tuple[Posed, ...]], *, last: bool
-) -> ArmSession:
-    """Fit the frames that have starts, with what the session expects of each as its prior.
-
-    The others keep the linearisation of their outline, whose minimum is their fit in the ``last`` round.
-    """
     again = [i for i, of_frame in enumerate(starts) if of_frame]
     tasks = [(arm.stored[i], expected[i], starts[i], arm.change, arm.taken_off) for i in again]
-    fits: dict[int, FrameFit] = dict(enumerate(arm.fits))
-    if last:
-        fits = {i: fit.moved_to(expected[i]) for i, fit in fits.items()}
+    fits = {i: fit.moved_to(expected[i]) if last else fit for i, fit in enumerate(arm.fits)}
     fits |= zip(again, arm.setup.run(fit_task, tasks), strict=True)
     return replace(arm, fits=tuple(fits[i] for i in range(len(arm.frames))))
 
@@ -467,17 +431,11 @@ def _by_camera(arms: Arms) -> list[list[int]]:
     return [[k for k, own in enumerate(first) if own == one] for one in dict.fromkeys(first)]
 
 
-def _as_outlines(arm: ArmSession, outlines: SessionOutlines) -> ArmOutlines:
-    """Return the frames of an arm about their fits."""
-    at = Posed.stacked(fit.at for fit in arm.fits)
-    return ArmOutlines(arm.model, arm.solution.calibration, at, outlines)
-
-
 def _with_camera(arms: Arms) -> Arms:
     """Estimate the change of the camera, and use it where it is plausible."""
     out = list(arms)
     for group in _by_camera(arms):
-        seen = [_as_outlines(arms[k], arms[k].view_as_blocks()) for k in group]
+        seen = [arms[k].outlined() for k in group]
         estimates = estimate_camera(seen, arms[group[0]].setup.config, passes=_CAMERA_PASSES)
         found = all(estimate.plausible for estimate in estimates)
         for k, own in zip(group, estimates, strict=True):
@@ -492,11 +450,11 @@ def _with_margin(arms: Arms) -> Arms:
     """Estimate the margin of the masks, and take it off if it is clear."""
     out = list(arms)
     for group in _by_camera(arms):
-        seen = [_as_outlines(arms[k], arms[k].view_as_blocks(file_is_prior=True)) for k in group]
-        margin, calibrations, at = estimate_margin(seen)
-        for k, own, moved in zip(group, calibrations, at, strict=True):
-            out[k] = replace(arms[k], margin=margin)
-            if margin.applied:
+        seen = [arms[k].outlined(file_is_prior=True) for k in group]
+        masks, without = estimate_margin(seen)
+        for k, (own, moved) in zip(group, without, strict=True):
+            out[k] = replace(arms[k], masks=masks)
+            if masks.applied:
                 out[k] = replace(out[k], start=own, moved=moved)
     return out
 
@@ -512,33 +470,31 @@ def _finished(arms: Arms) -> Arms:
     return near
 
 
-def checked(arms: Arms) -> list[tuple[ArmSession, CameraCheck]]:
+def checked(arms: Arms) -> Arms:
     """Test whether the frames contradict the camera file, the instrument's sizes and the further blocks.
 
     The evidence of the returned arms is as seen by the camera that is used.
     """
-    out: dict[int, tuple[ArmSession, CameraCheck]] = {}
+    out = list(arms)
     for group in _by_camera(arms):
         seen = []
         for arm in (arms[k] for k in group):
             arm.setup.progress("checking the camera", len(arm.frames))
-            outlines, config = arm.view_as_blocks(), arm.setup.config
-            offsets = [fit.side_offsets for fit in arm.fits if fit.explains_mask and fit.side_offsets is not None]
-            outwards = max(0.0, *np.mean(offsets, axis=0).tolist()) if offsets else 0.0
-            bias = MaskBias(outwards, arm.taken_off)
-            tested = bias, InstrumentSizes(arm.setup.instrument), *(make(config, outlines.camera) for make in TESTED)
-            seen.append(_as_outlines(arm, replace(outlines, blocks=(*outlines.blocks, *tested))))
+            camera, config = arm.outlined().outlines.camera, arm.setup.config
+            tested = InstrumentSizes(arm.setup.instrument), *(make(config, camera) for make in TESTED)
+            seen.append(arm.outlined(*tested))
         checks = check_camera(seen, arms[group[0]].setup.config, applied=arms[group[0]].change)
-        out |= {k: (_with_check(arms[k], check), check) for k, check in zip(group, checks, strict=True)}
-    return [out[k] for k in range(len(arms))]
+        for k, check in zip(group, checks, strict=True):
+            out[k] = _with_check(replace(arms[k], check=check), check)
+    return out
 
 
 def _with_check(arm: ArmSession, check: CameraCheck) -> ArmSession:
     """Return an arm with what was found in the test of its camera, in words and in what it does to the solution."""
-    if check.bias is not None:
-        moves = check.bias.of_calibration
-        widened = replace(arm.solution, of_masks=moves @ check.bias.squares @ moves.T)
-        arm = replace(arm, found=widened, bias=check.bias)
+    if check.of_margin is not None:
+        masks = check.of_margin.stated(arm.masks)
+        widened = replace(arm.solution, of_masks=masks.square * np.outer(masks.by_margin, masks.by_margin))
+        arm = replace(arm, found=widened, masks=masks)
     if check.camera is None:
         arm = arm.noted(undetermined=[check.undetermined])
     elif arm.setup.guessed_camera:
@@ -546,11 +502,6 @@ def _with_check(arm: ArmSession, check: CameraCheck) -> ArmSession:
     elif check.camera.applied:
         arm = arm.noted(remarks=check.camera.contradictions())
     if arm.change is not None:
-        frames = [frame.with_data(partial(with_changed_cameras, arm.change)) for frame in arm.frames]
-        arm = replace(arm, stored=tuple(arm.setup.run(gather_task, frames)))
+        tasks = [(frame, turns_of(arm.rig), arm.change) for frame in arm.frames]
+        arm = replace(arm, stored=tuple(arm.setup.run(gather_task, tasks)))
     return arm
-
-
-def with_common_lag(arms: Arms) -> Arms:
-    """Return arms with the lag that their frames' modes show in common."""
-    return [replace(arm, lag=lag) for arm, lag in zip(arms, in_common([arm.lag for arm in arms]), strict=True)]

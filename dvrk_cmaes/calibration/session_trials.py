@@ -1,4 +1,4 @@
-"""The start of a session: its lag, its endoscope and its pieces by the frames' own modes; then all are solved together.
+"""The start of a session: its lag, its endoscope and its pieces by the frames' own modes; then all are solved.
 
 A session whose base seems to have moved is also solved in one piece, and stays cut where that explains more frames.
 """
@@ -16,6 +16,7 @@ from dvrk_cmaes.calibration.consensus import INLIER_MISFIT
 from dvrk_cmaes.calibration.endoscope import Pieces, Steered
 from dvrk_cmaes.calibration.endoscope_search import LEAST_PIECE, find_hand_eye
 from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.calibration.lag import in_common
 from dvrk_cmaes.calibration.model import SessionModel, ecm_readings, outer_readings
 from dvrk_cmaes.calibration.session_problem import (
     Arms,
@@ -23,7 +24,6 @@ from dvrk_cmaes.calibration.session_problem import (
     ArmSetup,
     initialised,
     solved,
-    with_common_lag,
 )
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64, Posed
@@ -51,10 +51,16 @@ def solve_session(arms: Arms) -> Arms:
     if any(isinstance(arm.model.endoscope, Pieces) for arm in session):
         with contextlib.suppress(InputError):
             whole = _solved([replace(arm, setup=replace(arm.setup, may_cut=False)) for arm in arms])
-            gain = sum(sum(one.agreeing) - sum(other.agreeing) for one, other in zip(session, whole, strict=True))
+            gain = sum(one.agreeing - other.agreeing for one, other in zip(session, whole, strict=True))
             if gain < max(LEAST_PIECE, _MOVED_SHARE * sum(len(arm.frames) for arm in session)):
                 session = whole
     return session
+
+
+def _solved(arms: Arms) -> Arms:
+    """Solve a session at the lag that its frames' own modes determine."""
+    first, *others = [initialised(arm) for arm in started(arms)]
+    return solved(_with_common_endoscope(first, others))
 
 
 def started(arms: Arms) -> Arms:
@@ -64,7 +70,8 @@ def started(arms: Arms) -> Arms:
         first = found[0].model.endoscope if found else None
         arm = _with_readings(arm, first if isinstance(first, Steered) else None)
         found.append(replace(arm, lag=arm.lag.searched(arm.model, arm.modes)))
-    return with_common_lag(found)
+    common = in_common([arm.lag for arm in found])
+    return [replace(arm, lag=lag) for arm, lag in zip(found, common, strict=True)]
 
 
 def _with_readings(arm: ArmSession, first: Steered | None) -> ArmSession:
@@ -78,12 +85,6 @@ def _with_readings(arm: ArmSession, first: Steered | None) -> ArmSession:
         return arm
     arm.setup.progress("finding the camera in the endoscope", len(arm.frames))
     return replace(arm, model=replace(arm.model, endoscope=find_hand_eye(arm.model, arm.modes, steered)))
-
-
-def _solved(arms: Arms) -> Arms:
-    """Solve a session at the lag that its frames' own modes determine."""
-    first, *others = [initialised(arm) for arm in started(arms)]
-    return solved(_with_common_endoscope(first, others))
 
 
 def _with_common_endoscope(first: ArmSession, others: Arms) -> Arms:

@@ -77,12 +77,6 @@ class FrameFits:
         """Values (E,) of the further unknowns, block after block."""
         return np.concatenate([np.zeros(0), *self.seen.values()])
 
-    def at_seen(self) -> FrameFits:
-        """Return the fits with the further unknowns at their values, as functions of poses and joints alone."""
-        own = self.outlines.dimension - len(self.further)
-        outlines = Quadratic(self.outlines.information[:, :own, :own], self.outlines.slope[:, :own])
-        return FrameFits(self.at, outlines, shares=self.shares)
-
     def optimum(self, further: Float64) -> Float64:
         """Return the change (N, D) from the points of expansion to where the outline terms are least.
 

@@ -13,7 +13,6 @@ from typing import Any, Final, Generic, TypeVar
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.session_camera import CameraCheck
 from dvrk_cmaes.calibration.session_problem import ArmSession, checked
 from dvrk_cmaes.calibration.session_trials import solve_session
 from dvrk_cmaes.errors import InputError
@@ -31,8 +30,8 @@ _SETUP_STD: Final = np.array([0.025] * 3 + [np.deg2rad(3.0)] * 3)  # of a base b
 _SETUP_LIMIT: Final = 4.0  # standard deviations
 
 
-Outcome = tuple[ArmSession, CameraCheck] | Exception
-"""An arm that is solved with the others, and the test of its camera; or why it cannot be."""
+Outcome = ArmSession | Exception
+"""An arm that is solved with the others, or why it cannot be."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -140,9 +140,8 @@ def _begin_chosen(
         frozen = f" (readings frozen since frame {since})" if recorded.frozen.any() else ""
         return Begun.of(f"{len(keyframes)} frames are well in view and have readings{frozen}, fewer than {least}")
     work.progress("estimating keyframes", len(keyframes))
-    problem = replace(work, series=recorded.series, gathered={})
+    problem = replace(work, series=recorded.series)
     frames = _estimated(recorded, keyframes, problem)
-    problem = replace(problem, gathered={})
     try:
         begun = begin_arm(frames, problem).then(lambda found: bad_predictions(found[0].calibration) or found[0])
     except InputError as error:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dvrk_cmaes.calibration.blocks import BASE_AXES, OUTER_OFFSETS, Calibration
+from dvrk_cmaes.calibration.blocks import BASE_AXES, OUTER_OFFSETS
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.model import Deviations, SessionModel, offset_deviations
 from dvrk_cmaes.calibration.prediction import FoundLag
@@ -56,7 +56,7 @@ def wide_calibration(at: Posed, covariance: Float64, reading: ReadingAt, given: 
         reading.outer[None], reading.joints[None], names, spread, arm=arm, roll_offset=instrument.roll_offset
     )
     base = np.asarray(at.pose @ inverse(model.base_from_root(offsets)[0]))
-    jacobian = model.jacobian(Calibration.of(base, offsets))[0]
+    jacobian = model.jacobian(model.calibration(base, offsets))[0]
     before = np.diag([_BASE_STD[0] ** 2] * 3 + [_BASE_STD[1] ** 2] * 3 + [*offset_deviations(config, names) ** 2])
     gain = np.linalg.solve(jacobian @ before @ jacobian.T + covariance, jacobian @ before)
     after = before - before @ jacobian.T @ gain

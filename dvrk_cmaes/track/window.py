@@ -22,7 +22,7 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.prediction import Prediction
 from dvrk_cmaes.calibration.session_doubts import resting_on
-from dvrk_cmaes.calibration.session_masks import covariance_of_masks
+from dvrk_cmaes.calibration.session_masks import covariance_of_margin
 from dvrk_cmaes.calibration.solve import robust_weights
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.camera import Camera
@@ -36,7 +36,6 @@ from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
 from dvrk_cmaes.pose.judge import doubts_in_views, doubts_of_agreement
 from dvrk_cmaes.pose.probability import tip_probability
 from dvrk_cmaes.pose.quality import measure_overlap, pooled_quality
-from dvrk_cmaes.pose.terms.shared_errors import MEAN_ERRORS
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import ExpectedError
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
@@ -60,7 +59,7 @@ def smoothed_deviations(
     information: Float64,
     optimum: Float64,
     jacobian: Float64,
-    by_masks: Float64,
+    by_margin: Float64,
     *,
     only_last: bool = False,
 ) -> tuple[Float64, Float64, Float64]:
@@ -80,8 +79,8 @@ def smoothed_deviations(
         The information times the deviation at which that term is least.
     jacobian : (N, D, K)
         Change of the predictions with the calibration.
-    by_masks : (N, D, E)
-        Change of ``optimum`` per px of E errors that all masks share.
+    by_margin : (N, D)
+        Change of ``optimum`` per px of a margin of all masks.
     only_last
         Whether only the last deviation is found.
 
@@ -91,8 +90,8 @@ def smoothed_deviations(
         Those of the frames from their predictions.
     covariance : (N, D, D)
         That of the deviations.
-    response : (N, D, K + E)
-        Change of the frames' poses and joints with the calibration, and per px of the masks' errors.
+    response : (N, D, K + 1)
+        Change of the frames' poses and joints with the calibration, and per px of the margin.
     """
     size, parts = optimum.shape[1], np.array([SLOW_SHARE, 1 - SLOW_SHARE])
     left = np.exp(
@@ -110,7 +109,7 @@ def smoothed_deviations(
     for k, part in enumerate((slice(0, size), slice(size, None))):
         diagonal[:, part, part] += factors[:, k, None, None] * own
         coupling[:, part, part] = -(left / noise)[:, k, None, None] * across
-    right = np.concatenate([optimum[:, :, None], -information @ jacobian, by_masks], axis=2)
+    right = np.concatenate([optimum[:, :, None], -information @ jacobian, by_margin[:, :, None]], axis=2)
     both = np.tile(np.eye(size), 2)
     pivots, sides = _kernel.eliminate_chain(diagonal, coupling, np.tile(right, (1, 2, 1)))
     if only_last:
@@ -118,7 +117,7 @@ def smoothed_deviations(
     else:
         found, pivots = _substituted(pivots, sides, coupling)
     found = both @ found
-    moves = np.concatenate([jacobian, np.zeros_like(by_masks)], axis=2)[-len(found) :]
+    moves = np.pad(jacobian, ((0, 0), (0, 0), (0, 1)))[-len(found) :]
     return found[:, :, 0], both @ pivots @ both.T, moves + found[:, :, 1:]
 
 
@@ -139,7 +138,7 @@ def _substituted(pivots: Float64, sides: Float64, coupling: Float64) -> tuple[Fl
 class WindowImage:
     """An image of the window: its time, s, its prediction, the ``k``-th of some, and what its fit states about that.
 
-    ``information`` (D, D), ``optimum`` (D,) and ``by_masks`` (D, 7) are those of `smoothed_deviations`, zero where it
+    ``information`` (D, D), ``optimum`` (D,) and ``by_margin`` (D,) are those of `smoothed_deviations`, zero where it
     states nothing; ``misfit`` is the squared misfit per parameter.
     """
 
@@ -148,7 +147,7 @@ class WindowImage:
     k: int
     information: Float64
     optimum: Float64
-    by_masks: Float64
+    by_margin: Float64
     misfit: float
 
     @classmethod
@@ -169,9 +168,9 @@ class WindowImage:
         """
         spread = predicted.spread[k]
         size = len(spread)
-        nothing = np.zeros((size, MEAN_ERRORS))
+        nothing = np.zeros(size)
         if fit is None:
-            return cls(time, predicted, k, np.zeros((size, size)), np.zeros(size), nothing, 0.0)
+            return cls(time, predicted, k, np.zeros((size, size)), nothing, nothing, 0.0)
         deviation = fit.at.minus(predicted.at[k])
         own = np.linalg.pinv(fit.information, rcond=1e-9, hermitian=True)
         least = deviation - own @ fit.slope
@@ -179,8 +178,7 @@ class WindowImage:
         weight = float(robust_weights(np.array([misfit * size]), size)[0]) if holds else 0.0
         weight /= inflation * CORRELATED_FRAMES
         optimum = weight * (fit.information @ deviation - fit.slope)
-        by_masks = nothing if fit.by_masks is None else weight * fit.by_masks
-        return cls(time, predicted, k, weight * fit.information, optimum, by_masks, misfit)
+        return cls(time, predicted, k, weight * fit.information, optimum, weight * fit.by_margin, misfit)
 
     @property
     def at(self) -> Posed:
@@ -225,15 +223,15 @@ class Window:
             np.array([image.information for image in images]),
             np.array([image.optimum for image in images]),
             np.array([image.predicted.jacobian[image.k] for image in images]),
-            np.array([image.by_masks for image in images]),
+            np.array([image.by_margin for image in images]),
             only_last=only_last,
         )
         calibrated, found = calibration.whole_covariance, []
         solved = images[-len(deviations) :]
         for image, deviation, own, response in zip(solved, deviations, covariances, responses, strict=True):
-            at, (by_calibration, by_masks) = image.at.moved(deviation), np.split(response, [len(calibrated)], axis=1)
+            at, by_calibration = image.at.moved(deviation), response[:, :-1]
             covariance = own + by_calibration @ calibrated @ by_calibration.T
-            covariance += covariance_of_masks(calibration.masks, by_masks, by_calibration)
+            covariance += covariance_of_margin(calibration.masks, response[:, -1], by_calibration)
             of_camera = covariance_by_camera(self.instrument, corrected, at, calibration.camera_errors)
             found.append((at, covariance, of_camera))
         return found

@@ -87,15 +87,14 @@ class Coverage(OutlineTerm[DrawnCoverage]):
 
     def changed(
         self,
-        views: Sequence[SizedView] = (),
         *,
         correlations: Sequence[float] = (),
         cauchy: float | None = None,
         noise: float | None = None,
     ) -> Coverage:
-        """Return the same term of other views, or with other arguments than it was made with."""
+        """Return the same term with other arguments than it was made with."""
         return Coverage(
-            views or self.views,
+            self.views,
             self._config,
             correlations=correlations or self._correlations,
             cauchy=self._width if cauchy is None else cauchy,

@@ -32,12 +32,6 @@ Bool = NDArray[np.bool_]
 SIDES = 2
 """Number of shared errors of a view, the first ones: of both sides of the shaft as a whole."""
 
-DIRECTIONS = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0]])
-"""Right, left, down and up in the image, (2, 4)."""
-
-MEAN_ERRORS = 1 + SIDES + DIRECTIONS.shape[1]
-"""Number of the mean errors of all masks (`mean_errors`)."""
-
 SHOWN = _kernel.Shown(usual=0.5, factor=2.0, most=8.0)
 """How errors at a pose are larger than usual beyond 0.5 px: by 2 standard deviations a pixel, up to 8 px."""
 
@@ -95,17 +89,6 @@ def sharing(instrument: Instrument) -> _kernel.Sharing:
     shaft = instrument.shaft
     axis = None if shaft is None else np.array([shaft.point, shaft.direction], dtype=np.float64)
     return _kernel.Sharing(axis, _NODES, _LEAST_POINTS)
-
-
-def mean_errors(outline: OutlinePoints, instrument: Instrument, camera: Camera, seen: Posed) -> Float64:
-    """Return the displacements of an outline's points by mean errors of all masks, times the normals' lengths, px.
-
-    They are (N, 7): by a margin all round, by the errors of both sides of the shaft, and by those of what faces right,
-    left, down and up in the image, px each. Arguments are as in `shared_errors`.
-    """
-    length = np.linalg.norm(outline.normals, axis=1)[:, None]
-    sides = length * sides_of_shaft(outline, instrument, camera, seen)
-    return np.column_stack([length, sides, np.maximum(outline.normals @ DIRECTIONS, 0.0)])
 
 
 def sides_of_shaft(outline: OutlinePoints, instrument: Instrument, camera: Camera, seen: Posed) -> Bool:

@@ -17,7 +17,6 @@ from dvrk_cmaes.evidence.outline_noise import distances_to, less_margin
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.shared_errors import (
     image_axis,
-    mean_errors,
     sides_of_shaft,
 )
 from dvrk_cmaes.pose.views import FrameView
@@ -30,7 +29,6 @@ REACH = 4
 """Distance, px, from the outline up to which differences are sampled."""
 
 REMEMBERED = 64  # drawings that a view keeps
-_FARTHEST_SIDE = 8.0  # px, of the mask from a side of the shaft
 _FARTHEST = 4.0  # standard deviations of the blur to which its filter reaches
 _AROUND_MARGIN = 3  # px beside a margin, on which what is left of a mask does not depend
 _BLURRED_IN = 2.0  # standard deviations of the blur, over which the mask's value at ignored pixels reaches others
@@ -96,14 +94,6 @@ class SizedView:
         other.view = replace(self.view, view_from_camera=view_from_camera)
         return other
 
-    def with_camera(self, camera: Camera) -> SizedView:
-        """Return the same view seen by another camera, for images of the whole size; its silhouettes count anew."""
-        other = copy(self)
-        other.camera = self._in_window(camera)
-        other.renderer = Renderer(self.renderer.body, other.camera, threads=self.renderer.threads)
-        other._remembered = {}
-        return other
-
     def _in_window(self, camera: Camera) -> Camera:
         """Return the camera of the window at this size."""
         resized = camera if self._size == (camera.width, camera.height) else camera.scaled(*self._size)
@@ -160,13 +150,6 @@ class SizedView:
         """Return by how much the mask lies outwards of an outline at its N points, px."""
         return -distances_to(self.mask, outline.pixels)
 
-    def side_offsets(self, at: Posed) -> Float64:
-        """Return by how much the mask lies outwards of both sides of the shaft of a pose, (2,), px; 0 where unseen."""
-        (outline,) = self.outlines(Posed.stacked([at]))
-        sides = self.sides_of_shaft(outline, at)
-        offsets = np.clip(self.offsets(outline), -_FARTHEST_SIDE, _FARTHEST_SIDE)
-        return np.asarray(sides.T @ offsets / np.maximum(sides.sum(axis=0), 1.0))
-
     def sides_of_shaft(self, outline: OutlinePoints, at: Posed) -> NDArray[np.bool_]:
         """Return which points (N, 2) of the outline of one pose are on each side of the shaft."""
         seen = at.seen_from(self.view.view_from_camera)
@@ -175,11 +158,6 @@ class SizedView:
     def axis(self, at: Posed) -> Float64:
         """Return the direction (2,) in the image along which the shaft of one pose points."""
         return image_axis(self.renderer.body.instrument, self.camera, at.seen_from(self.view.view_from_camera))
-
-    def mean_errors(self, outline: OutlinePoints, at: Posed) -> Float64:
-        """Return the displacements (N, 7) of the outline's points of one pose by the mean errors of all masks."""
-        seen = at.seen_from(self.view.view_from_camera)
-        return mean_errors(outline, self.renderer.body.instrument, self.camera, seen)
 
 
 def blur_filter(blur: float) -> list[float]:
