@@ -365,6 +365,9 @@ def _pictures(root: Path, mask_folder: Path, views: Sequence[str], *, filmed: bo
     if folders[1] == root and (both := with_masks_beside(of_views[0][1])):
         raise InputError(f"{root}: expected folders images and masks, got both kinds in one: {listed(both)}")
     if not filmed and not any(files for kinds in of_views for files in kinds[:2]):
+        known = mask_folder != root / "masks" or is_session_layout(root)
+        if not known and (inside := sorted(path.name for path in root.iterdir())):
+            raise InputError(f"{root}: expected folders masks or images, or pictures, got {listed(inside)}")
         raise InputError(f"{mask_folder}: expected masks (PNG or JPEG) of the frames, got {_other_files(mask_folder)}")
     return of_views
 

@@ -60,8 +60,10 @@ def open_recording(path: Path, asked: Asked) -> Iterator[Recording]:
     """
     reader = next(reader for reader in READERS if reader.knows(path))
     if reader.open is open_video and path.is_dir():
-        said = "one of pictures or a session needs no import: `dvrk-cmaes batch FOLDER` takes it"
-        raise InputError(f"{path}: expected a recording, got a folder: {said}")
+        said = "one of pictures or a session needs no import: `dvrk-cmaes batch FOLDER` takes it; this is not"
+        raise InputError(
+            f"{path}: expected a recording, got a folder: {said} {', '.join(r.name for r in READERS[:-1])}"
+        )
     for name in dict.fromkeys(" ".join(other.takes for other in READERS).split()):
         if getattr(asked, name) != getattr(Asked(), name) and name not in reader.takes.split():
             option = _OPTIONS.get(name, f"--{name.replace('_', '-')}")

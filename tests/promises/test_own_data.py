@@ -259,3 +259,13 @@ def test_column_of_another_name_is_refused_with_the_option_that_names_columns(tm
     refusal = run("batch", folder, "--out", tmp_path / "out").refusal
     assert "header: unknown joint 'gripper'" in refusal
     assert refusal.endswith("(--columns names columns, - one that is not read)")
+
+
+def test_folder_of_no_known_kind_is_refused_by_what_is_in_it(tmp_path: Path) -> None:
+    (tmp_path / "regular").mkdir()
+    shutil.copy(DEMO / "joints.csv", tmp_path / "kinematics.csv")
+    expected = "expected folders masks or images, or pictures, got kinematics.csv, regular"
+    for words in (("inspect",), ("batch", "--camera", DEMO / "camera.yaml")):
+        assert expected in run(*words, tmp_path).refusal
+    refusal = run("import", tmp_path, "--out", tmp_path / "out").refusal
+    assert "this is not a LeRobot data set, a folder of SurgPose, " in refusal
