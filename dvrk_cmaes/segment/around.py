@@ -19,7 +19,7 @@ from dvrk_cmaes.geometry import Bool, Float32, Image
 from dvrk_cmaes.segment.colours import Colours, ColourTable, brightest, local_colour_log_odds, measure_colours
 from dvrk_cmaes.segment.confidence import assess_mask
 from dvrk_cmaes.segment.edge_colours import edge_log_odds
-from dvrk_cmaes.segment.graph_cut import cut
+from dvrk_cmaes.segment.graph_cut import cut, levels
 from dvrk_cmaes.segment.prompts import Prompts, no_prompts
 from dvrk_cmaes.segment.regions import fill_holes
 from dvrk_cmaes.segment.segmentation import Segmentation, nothing_found
@@ -124,7 +124,7 @@ def mask_around(
     measured = measure_colours(part) if local else None
     table = None if measured is None else ColourTable(measured)
     known = np.zeros(prior.shape, np.float32) if colours is None else colours[window]
-    features, mask, by_colour = guide(part) if measured is None else measured.guide, expected, known
+    features, mask, by_colour = levels(guide(part) if measured is None else measured.guide), expected, known
     for number in range(passes):
         if table is not None:
             by_colour = known + _COLOURS_WEIGHT * local_colour_log_odds(table, mask)
@@ -207,8 +207,7 @@ def _sides(mask: Bool, shape: tuple[int, ...], window: tuple[slice, slice]) -> F
     """Return log-odds (h, w) by the straight sides of the shaft of a mask in a window of an image of a shape (H, W)."""
     whole = np.zeros(shape, np.bool_)
     whole[window] = mask
-    sides = shaft_log_odds(whole)
-    return None if sides is None else sides[window]
+    return shaft_log_odds(whole, window)
 
 
 def _within(mask: Bool, near: Bool) -> Bool:

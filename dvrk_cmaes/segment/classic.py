@@ -23,7 +23,7 @@ from dvrk_cmaes.segment.colours import (
     measure_colours,
 )
 from dvrk_cmaes.segment.confidence import assess_mask
-from dvrk_cmaes.segment.graph_cut import cut
+from dvrk_cmaes.segment.graph_cut import cut, levels
 from dvrk_cmaes.segment.prompts import Prompts, draw_prompts
 from dvrk_cmaes.segment.regions import distance_to, fill_holes, instrument_region
 from dvrk_cmaes.segment.segmentation import Hints, Segmentation, nothing_found
@@ -64,7 +64,8 @@ def segment_classic(image: Image, prompts: Prompts, rough: Segmentation) -> Segm
 def _iterate_cuts(colours: Colours, table: ColourTable, prior: Float32, prompts: Prompts) -> Bool:
     """Alternate graph cut and colour histograms, starting from the log-odds ``prior`` (H, W); returns a mask (H, W)."""
     longer = max(colours.shape)
-    mask = cut(prior, colours.guide, background=prompts.background, tool=prompts.tool)
+    guide = levels(colours.guide)
+    mask = cut(prior, guide, background=prompts.background, tool=prompts.tool)
     mask = instrument_region(mask, GAP * longer, prompts)
     for unseen, iterations in _SCHEDULE:
         for _ in range(iterations):
@@ -75,7 +76,7 @@ def _iterate_cuts(colours: Colours, table: ColourTable, prior: Float32, prompts:
             odds = np.clip(odds, -LARGEST_COLOUR_ODDS, LARGEST_COLOUR_ODDS)
             odds += _PRIOR_WEIGHT * np.clip(prior, -_LARGEST_PRIOR, _LARGEST_PRIOR)
             far = prompts.background | (away > _REACH * longer)
-            before, mask = mask, cut(odds, colours.guide, background=far, tool=prompts.tool)
+            before, mask = mask, cut(odds, guide, background=far, tool=prompts.tool)
             mask = instrument_region(mask, GAP * longer, prompts)
             if (before & mask).sum() > _CONVERGED * (before | mask).sum():
                 break

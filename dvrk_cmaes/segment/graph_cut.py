@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.geometry import Bool, Float32
+from dvrk_cmaes.geometry import Bool, Float32, Image
 
 LARGEST = 5.0  # bound of the log-odds
 _RANGE = 80  # levels of the log-odds' channel; few, so that its edges contribute little to the smoothness term
@@ -21,9 +21,15 @@ _GUIDE = 200  # levels of the other two channels
 _WEIGHT = 10.0  # of the log-odds against the smoothness term, whose weight in GrabCut is 50
 
 
+def levels(guide: Float32) -> Image:
+    """Return the levels (H, W, 2) of a guide (H, W, 2) for cuts: the outline costs less where these change."""
+    low, high = np.percentile(guide, [1, 99], axis=(0, 1))
+    return np.asarray(np.clip((guide - low) / (high - low + 1e-6) * _GUIDE, 0, 255), np.uint8)
+
+
 def cut(
     log_odds: Float32,
-    guide: Float32,
+    guide: Image,
     *,
     background: Bool,
     tool: Bool,
@@ -35,7 +41,7 @@ def cut(
     log_odds
         (H, W), of instrument against background.
     guide
-        (H, W, 2); the outline costs less where these change.
+        (H, W, 2), its `levels`.
     background, tool
         (H, W), pixels whose label is given.
 
@@ -46,9 +52,7 @@ def cut(
     """
     picture = np.zeros((*log_odds.shape, 3), np.uint8)
     picture[..., 0] = np.round((np.clip(log_odds, -LARGEST, LARGEST) / LARGEST + 1) * _RANGE / 2)
-    for k in range(2):
-        low, high = np.percentile(guide[..., k], [1, 99])
-        picture[..., 1 + k] = np.clip((guide[..., k] - low) / (high - low + 1e-6) * _GUIDE, 0, 255)
+    picture[..., 1:] = guide
     labels = np.full(log_odds.shape, cv2.GC_PR_FGD, np.uint8)
     labels[background] = cv2.GC_BGD
     labels[tool] = cv2.GC_FGD

@@ -19,10 +19,11 @@ _STEEPNESS = 1.0  # log-odds per px beyond that
 _LARGEST = 4.0  # bound of the log-odds
 
 
-def shaft_log_odds(mask: Bool) -> Float32 | None:
-    """Return log-odds of instrument (H, W) by the shaft's sides in a mask (H, W), or None if no sides are found.
+def shaft_log_odds(mask: Bool, window: tuple[slice, slice]) -> Float32 | None:
+    """Return log-odds of instrument (h, w) by the shaft's sides in a mask (H, W), or None if no sides are found.
 
-    They are 0 distally of the more proximal of the two sides' distal ends, where the wrist begins.
+    They are those of a window (rows, columns) of the image, and 0 distally of the more proximal of the two sides'
+    distal ends, where the wrist begins.
     """
     height, width = mask.shape
     focal = _FOCAL * max(height, width)
@@ -32,7 +33,7 @@ def shaft_log_odds(mask: Bool) -> Float32 | None:
         return None
     lines = pairs[0].planes @ np.linalg.inv(camera.matrix)
     lines /= np.linalg.norm(lines[:, :2], axis=1, keepdims=True)
-    v, u = np.mgrid[:height, :width].astype(np.float32)
+    v, u = np.mgrid[window].astype(np.float32)
     first, second = (line[0] * u + line[1] * v + line[2] for line in lines)  # px, positive outside
     outside = np.maximum(first, second)
     pull = -_STEEPNESS * np.sign(outside) * np.maximum(np.abs(outside) - _SLACK, 0)
