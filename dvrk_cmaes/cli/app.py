@@ -42,7 +42,9 @@ COMMANDS: Final = (
 
 _ABOUT: Final = """Pose and joint angles of da Vinci Research Kit instruments from one endoscope frame, on a CPU.
 
-Try "dvrk-cmaes demo" first; "dvrk-cmaes help" lists the reference pages.
+Try "dvrk-cmaes demo" first. Of files of your own, "dvrk-cmaes inspect FILE" says what is read and what to type next.
+
+"dvrk-cmaes help" lists the reference pages; "dvrk-cmaes help tutorial" is the first to read.
 
 Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 doubtful.
 

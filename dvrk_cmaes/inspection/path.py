@@ -26,7 +26,7 @@ from dvrk_cmaes.camera.rig import Rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.coco_mask import frames_of
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
-from dvrk_cmaes.frames.images import read_ignore, read_image, read_mask
+from dvrk_cmaes.frames.images import THRESHOLD, read_ignore, read_image, read_mask
 from dvrk_cmaes.frames.keypoints import read_boxes, read_keypoints
 from dvrk_cmaes.frames.markers import read_detections
 from dvrk_cmaes.frames.published_layout import is_published_layout
@@ -60,7 +60,6 @@ _LABEL_RULES = {
     "number": "a frame's readings are found by the number that its name ends in",
     "message": "a frame's readings are found by the image's time",
 }
-_THRESHOLD = 127
 _SOFT = 40  # largest deviation of a mask's pixels from 0 or 255 due to JPEG compression
 _SHARP_SHARE = 0.98  # least fraction of pixels near 0 or 255 in a mask
 _MOST_LABELS = 16
@@ -326,10 +325,10 @@ def _inspect_picture(path: Path) -> Finding:
         notes = ("it lies in a folder called ignore: above 127 counts neither way",)
         return Finding("ignored pixels", (f"{size}, {share:.2%} ignored",), {**read, "ignored": share}, notes)
     labels, counts = np.unique(grey, return_counts=True)
-    if labels.max() <= _THRESHOLD and len(labels) <= _MOST_LABELS:
+    if labels.max() <= THRESHOLD and len(labels) <= _MOST_LABELS:
         shares = {str(label): float(count / grey.size) for label, count in zip(labels, counts, strict=True)}
         text = ", ".join(f"{label}: {share:.2%}" for label, share in shares.items())
-        rule = f"no value is above {_THRESHOLD} and few differ: labels; --label says which is the instrument"
+        rule = f"no value is above {THRESHOLD} and few differ: labels; --label says which is the instrument"
         return Finding("mask of labels", (f"{size}, shares of the labels {text}",), {**read, "labels": shares}, (rule,))
     sharp = float(np.mean((grey < _SOFT) | (grey > 255 - _SOFT)))
     if sharp < _SHARP_SHARE:
@@ -341,7 +340,7 @@ def _inspect_picture(path: Path) -> Finding:
         "mask",
         (f"{size}, {mask.mean():.2%} instrument, within columns {box[0]} to {box[2]} and rows {box[1]} to {box[3]}",),
         {**read, "instrument": float(mask.mean()), "box": box},
-        (f"almost all pixels are near 0 or 255: a mask; above {_THRESHOLD} is instrument",),
+        (f"almost all pixels are near 0 or 255: a mask; above {THRESHOLD} is instrument",),
     )
 
 
@@ -523,9 +522,7 @@ def _opened(frame: FrameFiles, camera: Rig) -> str | tuple[str, ...]:
         notes = read_frame(frame, camera).notes
         given = None if frame.label is not None or frame.mask is None or frame.mask.suffix == ".json" else frame.mask
         soft = given is not None and _inspect_picture(given).kind == "image"
-        return (
-            (*notes, f"masks have many values between 0 and 255: above {_THRESHOLD} is instrument") if soft else notes
-        )
+        return (*notes, f"masks have many values between 0 and 255: above {THRESHOLD} is instrument") if soft else notes
     except InputError as error:
         return str(error)
 
