@@ -20,7 +20,6 @@ from dvrk_cmaes.config import __version__
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
-from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.atomic import json_text
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed, natural
@@ -37,11 +36,6 @@ _LENGTH = 16
 
 UNREADABLE = "unreadable"
 """Stands for the size and time of a file that cannot be read."""
-
-
-def instrument_digest(instrument: Instrument) -> str:
-    """Compute the digest of an instrument's content; the paths of its files do not matter."""
-    return digest_of(instrument)
 
 
 def frame_stamps(files: FrameFiles) -> dict[str, str]:
@@ -117,7 +111,7 @@ def manifest_of(arm: ArmInSession, frames: FrameParts) -> Manifest:
     backgrounds = {view: digest_of(background) for view, background in sorted(segment.backgrounds.items())}
     return {
         "version": __version__,
-        "instrument": {"name": instrument.name, "digest": instrument_digest(instrument)},
+        "instrument": {"name": instrument.name, "digest": digest_of(instrument)},
         "arm": method.arm,
         "cameras": digest_of([replace(view, camera=replace(view.camera, remarks=())) for view in views]),
         "config": method.config.as_dict(),

@@ -275,7 +275,7 @@ class Window:
         (at, covariance, of_camera), instrument = found, self.instrument
         tips, _ = locate_tips(instrument, self.camera, at)
         error = expected_error(instrument, at, covariance, of_camera) if judged.error is None else judged.error
-        lost = judged.status == "lost"
+        lost, each = judged.status == "lost", [value for name, value in error.tip_mm.items() if name != "mean"]
         result = TrackResult(
             time=image.time,
             status="doubtful" if doubts and judged.status == "ok" else judged.status,
@@ -284,7 +284,7 @@ class Window:
             joints=dict(zip(instrument.joint_names, at.joints.tolist(), strict=True)),
             covariance=covariance,
             tips=np.array(tips),
-            tip_std_mm=mean_of_tips_mm(instrument, error),
+            tip_std_mm=float(np.mean(each)) if instrument.jaw_tips else None,
             camera_from_base=np.asarray(at.pose @ inverse(image.predicted.base_from_root[image.k])),
             offsets=image.predicted.offsets(image.k, at, instrument.joint_names),
             seconds=seconds,
@@ -293,12 +293,6 @@ class Window:
             remarks=remarks,
         )
         return resting_on(result, self.calibration)
-
-
-def mean_of_tips_mm(instrument: Instrument, error: ExpectedError) -> float | None:
-    """Return the mean of the tips' expected errors, mm; None for an instrument without tips."""
-    each = [value for name, value in error.tip_mm.items() if name != "mean"]
-    return float(np.mean(each)) if instrument.jaw_tips else None
 
 
 def judge_frame(

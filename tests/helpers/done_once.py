@@ -22,7 +22,7 @@ from cyclopts.argument import Argument, ArgumentCollection
 from dvrk_cmaes import Body, Instrument
 from dvrk_cmaes import segment as segmentation
 from dvrk_cmaes.instrument import measure
-from dvrk_cmaes.runs.manifest import instrument_digest
+from dvrk_cmaes.runs.manifest import digest_of
 from dvrk_cmaes.silhouette import prepare
 
 _BODIES = 8
@@ -81,7 +81,7 @@ def _instruments_measured_once(patch: pytest.MonkeyPatch) -> None:
     known: dict[str, Instrument] = {}
 
     def measured(instrument: Instrument) -> Instrument:
-        key = instrument_digest(instrument)
+        key = digest_of(instrument)
         if key not in known:
             known[key] = with_measurements(instrument)
         one = known[key]
@@ -95,7 +95,7 @@ def _instruments_prepared_once(patch: pytest.MonkeyPatch) -> None:
     known: dict[str, Body] = {}
 
     def prepared(instrument: Instrument) -> Body:
-        key = instrument_digest(instrument)
+        key = digest_of(instrument)
         if key not in known:
             if len(known) == _BODIES:
                 known.pop(next(iter(known)))
@@ -112,7 +112,7 @@ def _images_segmented_once(patch: pytest.MonkeyPatch) -> None:
         image: Any, background: Any, hints: Any, instrument: Any, camera: Any, joints: Any
     ) -> segmentation.Segmentation:
         body = None if instrument is None else prepare.prepare(instrument)
-        of_body = () if body is None else (instrument_digest(body.instrument), body.method)
+        of_body = () if body is None else (digest_of(body.instrument), body.method)
         given = image, background, hints, of_body, camera, None if joints is None else sorted(joints.items())
         key = hashlib.sha256(pickle.dumps(given)).hexdigest()
         if key not in known:

@@ -19,7 +19,7 @@ import pytest
 from dvrk_cmaes import Body, EstimateConfig, Result
 from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.runs import frame as frames
-from dvrk_cmaes.runs.manifest import instrument_digest
+from dvrk_cmaes.runs.manifest import digest_of
 
 
 @contextmanager
@@ -32,7 +32,7 @@ def shared_estimates() -> Iterator[None]:
 
     def estimated(views: Any, readings: Any, body: Body, method: FrameMethod, **options: Any) -> Result:
         given = pickle.dumps((views, dict(readings), body.method, method, sorted(options.items())))
-        key = instrument_digest(body.instrument) + hashlib.sha256(given).hexdigest()
+        key = digest_of(body.instrument) + hashlib.sha256(given).hexdigest()
         kept = Path(os.environ["DVRK_CMAES_CACHE"]).with_name("estimates") / key
         if not kept.exists():
             kept.parent.mkdir(exist_ok=True)
