@@ -212,7 +212,7 @@ def test_base_that_moved_is_followed(world: MovingWorld, first: Result) -> None:
         (lambda t, w: t.step(np.nan, w.masks[0]), "time: expected a finite number of seconds, got nan"),
         (lambda t, w: t.step(0.0, w.masks[0][:-1]), "mask: expected 320 x 240 pixels as the camera has"),
         (lambda t, w: t.step(0.0, w.masks[0], ignore=w.masks[0][1:]), "ignore: expected 320 x 240 pixels"),
-        (lambda t, w: t.add_readings(0.0, {"elbow": 1.0}), "readings: unknown joint 'elbow'; expected one of: "),
+        (lambda t, w: t.add_readings(0.0, {"elbow": 1.0}), "readings: unknown joint 'elbow'; expected one of "),
         (lambda t, w: t.add_readings(0.0, {"jaw": np.inf}), "readings: jaw: expected a finite number in rad, got inf"),
         (
             lambda t, w: t.add_readings(0.0, {"jaw": 1e308}),
