@@ -19,6 +19,7 @@ from helpers.done_once import done_once
 from helpers.files import read_mask
 from helpers.named_failures import NamedFailures
 from helpers.places import SHARED
+from helpers.plain_pictures import plain_pictures, small_overlays
 from helpers.processes_here import processes_here, real_processes
 from helpers.shared_estimates import shared_estimates
 from hypothesis import settings
@@ -188,6 +189,13 @@ def own_processes(tasks_here: None) -> Iterator[None]:
 def estimates_shared() -> Iterator[None]:
     """Let commands and batches of a test, and of others with this fixture, estimate each frame once for all of them."""
     with shared_estimates():
+        yield
+
+
+@pytest.fixture
+def small_pictures() -> Iterator[None]:
+    """Let commands of a test draw frames in their own size, and pages without pictures."""
+    with plain_pictures(), small_overlays():
         yield
 
 

@@ -19,7 +19,7 @@ import pytest
 from helpers.files import read_mask
 from helpers.made_examples import make_examples
 from helpers.places import ROOT
-from helpers.plain_pictures import plain_pictures
+from helpers.plain_pictures import plain_pictures, small_overlays
 from helpers.printed_blocks import PROGRAM, Block, blocks, has_in_order, printed_parts, run, words
 from helpers.processes_here import processes_here
 from helpers.shared_estimates import shared_estimates, short_searches
@@ -86,6 +86,7 @@ def quicker() -> Iterator[None]:
         shared_estimates(),
         short_searches(),
         plain_pictures(),
+        small_overlays(),
     ):
         patch.setattr(made_sessions, "default_camera", lambda level: camera(level).scaled(320, 240))
         yield

@@ -28,7 +28,7 @@ from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body, Renderer
 
-_SMALLEST, _LARGEST = 1000, 2000  # px, width of the drawing
+SMALLEST, _LARGEST = 1000, 2000  # px, width of the drawing
 _FAINT = 0.22  # brightness of the mask where there is no image, 0 to 1
 _INSET = 0.3  # side of the enlarged tips in the drawing's height
 _SHOWN = 0.1  # and of what they show, at least, in that of the frame
@@ -107,7 +107,7 @@ def _canvas(size: tuple[int, int], image: NDArray[np.uint8]) -> Canvas:
 def _size(shape: tuple[int, ...]) -> tuple[int, int]:
     """Return width and height of the drawing of a frame of a shape (H, W)."""
     height, width = shape
-    scale = float(np.ceil(_SMALLEST / width)) if width < _SMALLEST else min(1.0, _LARGEST / width)
+    scale = float(np.ceil(SMALLEST / width)) if width < SMALLEST else min(1.0, _LARGEST / width)
     return max(round(width * scale), 1), max(round(height * scale), 1)
 
 

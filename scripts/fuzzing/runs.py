@@ -172,7 +172,7 @@ def stubbed(material: Path) -> Iterator[None]:
         mock.patch("dvrk_cmaes.estimation.image_frame.estimate_views", estimate),
         mock.patch.object(Pool, "__init__", here_alone),
         mock.patch.object(Pool, "submit", done_here),
-        mock.patch("dvrk_cmaes.draw.overlay._SMALLEST", 1),
+        mock.patch("dvrk_cmaes.draw.overlay.SMALLEST", 1),
         mock.patch("dvrk_cmaes.cli.app.app", lambda tokens, **_: parsed(tuple(tokens))()),
     ):
         yield

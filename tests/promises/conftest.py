@@ -27,9 +27,9 @@ def quick(tmp_path: Path) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def _without_processes(tasks_here: None, estimates_shared: None) -> None:
+def _quickly(tasks_here: None, estimates_shared: None, small_pictures: None) -> None:
     """Let commands that run in the test's process start no others, each of which takes a second to start.
 
-    They also estimate a frame once, in whatever commands it is. `test_outputs` and ``scripts/fuzz.py`` start the
-    program itself, with its processes.
+    They also estimate a frame once, in whatever commands it is, and draw small. `test_outputs` and ``scripts/fuzz.py``
+    start the program itself, with its processes.
     """
