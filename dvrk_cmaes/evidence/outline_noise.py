@@ -56,13 +56,13 @@ def signed_distance(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
     return np.where(mask, 0.5 - distance_within(mask), distance_within(~mask) - 0.5).astype(np.float32)
 
 
-def less_margin(mask: NDArray[np.bool_], margin: float | NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return a mask (H, W) less a margin, px, all round or of each pixel: the share of each that is left, 0 to 1.
+def less_margin(mask: NDArray[np.bool_], margin: float) -> NDArray[np.float32]:
+    """Return a mask (H, W) less a margin, px, all round: the share of each that is left, 0 to 1.
 
     The mask is neither empty nor full. A pixel keeps 0.5 - ``margin`` less its signed distance, so that of a margin
     below a pixel only the distances of the pixels next to the outline count, of which there are three.
     """
-    if not isinstance(margin, float) or abs(margin) >= _NEXT:
+    if abs(margin) >= _NEXT:
         return _share_left(signed_distance(mask), margin)
     distances = np.sqrt(np.array([0, 1, 2, 4], dtype=np.float32))
     shares = np.zeros(256, dtype=np.float32)
@@ -72,7 +72,7 @@ def less_margin(mask: NDArray[np.bool_], margin: float | NDArray[np.float32]) ->
     return np.asarray(cv2.LUT(np.where(outside > 0, outside + np.uint8(3), _place(mask)), shares))
 
 
-def _share_left(signed: NDArray[np.float32], margin: float | NDArray[np.float32]) -> NDArray[np.float32]:
+def _share_left(signed: NDArray[np.float32], margin: float) -> NDArray[np.float32]:
     """Return the share of each pixel that is left less a margin, px, from its signed distance."""
     return np.asarray(np.clip(0.5 - margin - signed, 0, 1), dtype=np.float32)
 

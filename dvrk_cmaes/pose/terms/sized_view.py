@@ -41,7 +41,7 @@ class SizedView:
     beside them, 1 for others. length : px of contour at this size. view, shrink : as given. Poses are in the reference
     camera. ``blur``, px, is the standard deviation of that of coverage and mask; ``renderer`` draws
     another body than that of the view, if given, and ``differences`` is that of which the outlines are drawn for
-    differences. ``margin``, px of the whole size, is taken off the mask all round, or (H, W) at each pixel.
+    differences. ``margin``, px of the whole size, is taken off the mask all round.
 
     The last drawings are kept: a refinement often begins where another one has drawn already.
     """
@@ -53,20 +53,20 @@ class SizedView:
         blur: float,
         shrink: int = 1,
         renderer: Renderer | None = None,
-        margin: float | NDArray[np.float32] = 0.0,
+        margin: float = 0.0,
     ) -> None:
         evidence, camera = view.evidence, view.evidence.camera
         size = (camera.width, camera.height)
         around, first, above = 48 // shrink + 8, 0, 0
         if shrink > 1:
             size = max(camera.width // shrink, 8), max(camera.height // shrink, 8)
-            mask = shrunk(less_margin(evidence.mask, margin) if np.any(margin) else evidence.share, *size)
+            mask = shrunk(less_margin(evidence.mask, margin) if margin else evidence.share, *size)
         else:
-            reach = around + int(np.abs(margin).max()) + _AROUND_MARGIN
+            reach = around + int(abs(margin)) + _AROUND_MARGIN
             first, above, width, height = window_around(evidence.mask, reach)
             inside = np.s_[above : above + height, first : first + width]
-            part, own = evidence.mask[inside], margin if isinstance(margin, float) else margin[inside]
-            mask = less_margin(part, own) if np.any(own) else part.astype(np.float32)
+            part = evidence.mask[inside]
+            mask = less_margin(part, margin) if margin else part.astype(np.float32)
         left, top, width, height = window_around(mask > 0, around)
         mask = np.ascontiguousarray(mask[top : top + height, left : left + width])
         left, top = first + left, above + top
