@@ -131,7 +131,7 @@ def mask_around(
         odds = by_colour + prior
         if edges:
             odds += edge_log_odds(part, signed_distance(mask) if number else distance)
-        if straight and (sides := _sides(mask, silhouette.shape, window)) is not None:
+        if straight and (sides := shaft_log_odds(mask, silhouette.shape, window)) is not None:
             odds += sides
         before, mask = mask, cut(np.asarray(odds, np.float32), features, background=never, tool=tool)
         if not mask.any() or mask.all():
@@ -201,13 +201,6 @@ def guide(image: Image) -> Float32:
     smooth = cv2.GaussianBlur(image, (0, 0), _NOISE).astype(np.float32) + 8.0
     colourful = np.log(smooth[..., 2] / smooth[..., 1])
     return np.stack([np.log(brightest(smooth)), colourful], axis=-1)
-
-
-def _sides(mask: Bool, shape: tuple[int, ...], window: tuple[slice, slice]) -> Float32 | None:
-    """Return log-odds (h, w) by the straight sides of the shaft of a mask in a window of an image of a shape (H, W)."""
-    whole = np.zeros(shape, np.bool_)
-    whole[window] = mask
-    return shaft_log_odds(whole, window)
 
 
 def _within(mask: Bool, near: Bool) -> Bool:

@@ -19,12 +19,14 @@ _STEEPNESS = 1.0  # log-odds per px beyond that
 _LARGEST = 4.0  # bound of the log-odds
 
 
-def shaft_log_odds(mask: Bool, window: tuple[slice, slice]) -> Float32 | None:
-    """Return log-odds of instrument (h, w) by the shaft's sides in a mask (H, W), or None if no sides are found.
+def shaft_log_odds(part: Bool, shape: tuple[int, ...], window: tuple[slice, slice]) -> Float32 | None:
+    """Return log-odds of instrument (h, w) by the shaft's sides in a mask, or None if no sides are found.
 
-    They are those of a window (rows, columns) of the image, and 0 distally of the more proximal of the two sides'
-    distal ends, where the wrist begins.
+    ``part`` (h, w) is the mask in a window (rows, columns) of an image of a shape (H, W). The log-odds are 0 distally
+    of the more proximal of the two sides' distal ends, where the wrist begins.
     """
+    mask = np.zeros(shape, np.bool_)
+    mask[window] = part
     height, width = mask.shape
     focal = _FOCAL * max(height, width)
     camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
