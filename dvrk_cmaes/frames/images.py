@@ -154,7 +154,8 @@ def match_size(camera: Camera, shape: tuple[int, int], what: str = "mask") -> tu
     if off > (_ROUNDED_ASPECT if rounded else _ASPECT):
         raise InputError(
             f"{what}: expected the calibration's size {sizes[1]}, or one of that aspect, got {sizes[0]} "
-            "(--crop x,y,w,h for a part of the picture, --stretch for one that was resized unevenly)"
+            "(--crop x,y,w,h for a part of the picture, --stretch for one that was resized unevenly; of a session, "
+            "crop or stretch of [camera] in session.toml)"
         )
     note = f"the {what} is {sizes[0]}, the calibration {sizes[1]}: intrinsics rescaled by {width / camera.width:.4g}"
     scaled = camera.scaled(width, height)

@@ -269,3 +269,14 @@ def test_folder_of_no_known_kind_is_refused_by_what_is_in_it(tmp_path: Path) -> 
         assert expected in run(*words, tmp_path).refusal
     refusal = run("import", tmp_path, "--out", tmp_path / "out").refusal
     assert "this is not a LeRobot data set, a folder of SurgPose, " in refusal
+
+
+def test_images_of_another_aspect_are_refused_with_the_key_of_session_toml_that_takes_them(tmp_path: Path) -> None:
+    folder = demo_as(tmp_path, "{:04d}.png")
+    for path in [*(folder / "masks").iterdir(), *(folder / "images").iterdir()]:
+        cv2.imwrite(str(path), cv2.resize(cv2.imread(str(path)), (640, 360), interpolation=cv2.INTER_NEAREST))
+    ran = run("inspect", folder)
+    assert ran.code == 3
+    assert "of a session, crop or stretch of [camera] in session.toml)" in ran.err
+    (folder / "session.toml").write_text("[camera]\nstretch = true\n")
+    assert run("inspect", folder).code == 0
