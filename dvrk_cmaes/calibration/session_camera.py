@@ -64,6 +64,7 @@ IMPLAUSIBLE = (
 )
 """Why a session does not determine its camera: the estimate is too far away for outlines that were linearised here."""
 
+_LENS_PLAUSIBLE = (0.5, 3.0)  # of both errors of a lens; outlines that were linearised say nothing of larger ones
 _NOT_ASKED = "camera: not tested, as the settings say"
 _CAUSES = (
     "a calibration of another zoom, focus, endoscope or crop of the image, or --rectified left out; a tool or arm of "
@@ -120,7 +121,7 @@ class Lens(SeenBlock):
         """State both, and what the frames alone show of them where that contradicts the file."""
         gained = np.maximum(std**-2 - self.std**-2, 1e-12)
         alone, spread = values * (1 + self.std**-2 / (self._shared**2 * gained)), 1 / np.sqrt(gained)
-        off = np.abs(alone) / np.hypot(spread, self.std)
+        off = np.where(np.abs(alone) < _LENS_PLAUSIBLE, np.abs(alone) / np.hypot(spread, self.std), 0.0)
         texts = [
             f"fy / fx {100 * alone[0]:+z.1f} % (std {100 * spread[0]:.1f}) off",
             f"a radial coefficient {alone[1]:+z.2f} (std {spread[1]:.2f}) off",
