@@ -47,6 +47,7 @@ _POSSIBLE: Final = 0.2
 """Confidence of a candidate below which it is none: of drawn ones 2 % are right there, 36 % from there to `GUESS`."""
 _AGREES: Final = 0.85  # overlap of a mask with the silhouette around which it was cut, below which it is less sure
 _UNDECIDED: Final = 0.75  # confidence, at most, of one of several instruments, where readings are of a certain one
+_SHARED: Final = 0.2  # of a mask, that may be in those of instruments that are surer; it is taken from this one
 SAME: Final = 0.7  # overlap with an instrument, from which on a mask is of the same one: then the surer one is taken
 _ROUGHLY: Final = 0.2  # by which this overlap may be less at 320 px, where a mask is found at full size
 _BEYOND_BOX: Final = 0.5  # share of a silhouette that is outside a given box
@@ -97,8 +98,6 @@ def segment_by_model(
     foreground: Float32 | None = None,
 ) -> Segmentation:
     """Find instruments in an image (H, W, 3) uint8 BGR by their model, and the mask of the best one.
-
-    The masks of the others are their silhouettes, at the reduced size at which instruments are looked for.
 
     Parameters
     ----------
@@ -159,22 +158,20 @@ def segment_by_model(
         own = mask_of_candidate(image, each, body, camera, without, foreground)
         return same if own.mask.any() and same is not None and same.confidence > own.confidence else own
 
-    first = None
+    masks, taken = list[Segmentation](), np.zeros_like(prompts.outside)
     for each in found if not prompts.given else found[:1]:
         mask = mask_of(each)
-        if mask.mask.any() and (first is None or mask.confidence >= GUESS):
-            first, taken = mask, each
-        if first is not None and first.confidence >= GUESS:
-            break
-    if first is None:
+        if mask.mask.any() and (mask.mask & taken).sum() <= _SHARED * mask.mask.sum():
+            masks.append(replace(mask, mask=mask.mask & ~taken) if taken.any() else mask)
+            taken = taken | mask.mask
+    if not masks:
         return by_colours()
-    if prompts.given or len(found) == 1:
+    first, *others = sorted(masks, key=lambda each: each.confidence < GUESS)  # else in the order of the search
+    if not others:
         return first
-    silhouettes = [(resized(each.silhouette, image.shape[1::-1]), each) for each in found if each is not taken]
-    others = tuple(Segmentation(shown & ~first.mask, each.confidence) for shown, each in silhouettes)
     confidence = min(first.confidence, _UNDECIDED) if joints else first.confidence
     notes = *first.notes, _taken(first.mask, [each.mask for each in others])
-    return replace(first, confidence=confidence, notes=notes, others=others)
+    return replace(first, confidence=confidence, notes=notes, others=tuple(others))
 
 
 def _overlap(found: Candidate, mask: Bool) -> float:
