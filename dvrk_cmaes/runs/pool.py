@@ -245,10 +245,12 @@ def run(
     limit = () if time_limit is None or not isinstance(workers, Pool) else (limited, time_limit)
     running: dict[Future[Any], T] = {}
     alone: deque[T] = deque()  # those that were in flight when a process died
-    here = isinstance(workers, Pool) and workers.here
+    here, limits = isinstance(workers, Pool) and workers.here, contextlib.ExitStack()
     try:
         if isinstance(workers, Pool) and workers.here:
-            limit_library_threads()
+            limits.callback(cv2.setNumThreads, cv2.getNumThreads())
+            cv2.setNumThreads(1)
+            limits.enter_context(threadpool_limits(1))
             workers.start()
         while True:
             while not stop.is_set() and (not running if alone else len(running) < workers.at_once()):
@@ -281,6 +283,7 @@ def run(
             workers.kill()
         for future in running:
             future.cancel()
+        limits.close()
 
 
 def _has_died(future: Future[Any]) -> bool:
