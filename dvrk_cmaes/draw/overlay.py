@@ -82,8 +82,7 @@ def draw_overlay(
     if result.camera_from_root is None:
         canvas.outline(frame.enlarged(mask), MASK)
     else:
-        absent = _draw_pose(frame, result, mask, body, evidence, result.camera_from_root)
-        _draw_tips_enlarged(frame, result, mask, body, image)
+        absent = _draw_pose(frame, result, mask, body, evidence, result.camera_from_root, image)
     return _between_strips(result, canvas, absent)
 
 
@@ -159,7 +158,13 @@ class FrameCanvas:
 
 
 def _draw_pose(
-    frame: FrameCanvas, result: Result, mask: Bool, body: Body, evidence: Evidence, pose: Float64
+    frame: FrameCanvas,
+    result: Result,
+    mask: Bool,
+    body: Body,
+    evidence: Evidence,
+    pose: Float64,
+    image: NDArray[np.uint8] | None,
 ) -> set[Colour]:
     """Draw a pose, and return the colours of what there is none of: stretches that are off, edges and tips found."""
     canvas, camera, instrument = frame.canvas, frame.camera, body.instrument
@@ -180,25 +185,34 @@ def _draw_pose(
         for edge in found_edges(evidence.shaft_edges[0], camera):
             canvas.line(frame.at(edge), FOUND, width=2.0, dash=(14, 26))
 
-    _, tips = frame.draw_skeleton(instrument, pose, joints)
+    line, tips = frame.draw_skeleton(instrument, pose, joints)
     for tip in tips:
         canvas.ring(frame.at(tip), PROJECTED)
     for tip in [] if evidence.tips is None else evidence.tips:
         canvas.cross(frame.at(tip), FOUND)
     _axes(frame, pose)
+    if len(tips):
+        _draw_enlarged(frame, mask, image, body, (pose, joints), np.concatenate([tips, line[-1:]]), seen)
     found = evidence.shaft_edges or evidence.tips is not None
     return {colour for colour, drawn in ((STEADY, stretches), (FOUND, found)) if not drawn}
 
 
-def _draw_tips_enlarged(
-    frame: FrameCanvas, result: Result, mask: Bool, body: Body, image: NDArray[np.uint8] | None
+def _draw_enlarged(
+    frame: FrameCanvas,
+    mask: Bool,
+    image: NDArray[np.uint8] | None,
+    body: Body,
+    posed: tuple[Float64, Float64],
+    ends: Float64,
+    seen: Bool,
 ) -> None:
-    """Draw the outlines about the tips, enlarged, in the corner with the least of the mask; nothing out of view."""
-    pose, joints = np.array(result.camera_from_root), np.array([*result.joints.values()])
-    line, tips = skeleton_lines(body.instrument, pose, joints, frame.camera)
-    ends = np.concatenate([line[-1:], tips])
+    """Draw the outlines about the tips, enlarged, in the corner with the least of the mask; nothing out of view.
+
+    ``posed`` are the pose (4, 4) and joints (J,), ``ends`` (N, 2) px the tips and, last, the end of the wrist;
+    ``seen`` is the mask on the canvas, (h, w).
+    """
     (height, width), (tall, wide) = mask.shape, frame.canvas.image.shape[:2]
-    if not len(tips) or not ((ends >= 0) & (ends < (width, height))).all():
+    if not ((ends >= 0) & (ends < (width, height))).all():
         return
     side = min(round(max(_SHOWN * height, 1.4 * float(np.ptp(ends, axis=0).max()))), height, width)
     middle = (ends.min(axis=0) + ends.max(axis=0)) / 2
@@ -214,10 +228,9 @@ def _draw_tips_enlarged(
     near = FrameCanvas.of(shown, window, image, (across, across))
     near.canvas.unit = frame.canvas.unit
     near.canvas.outline(near.enlarged(shown), MASK)
-    near.canvas.outline(near.silhouette(body, pose, joints), SILHOUETTE)
-    for tip in tips:
+    near.canvas.outline(near.silhouette(body, *posed), SILHOUETTE)
+    for tip in ends[:-1]:
         near.canvas.ring(near.at(tip - (left, top)), PROJECTED)
-    seen = frame.enlarged(mask)
     corners = [(y, x) for y in (0, tall - across) for x in (0, wide - across)]
     y, x = min(corners, key=lambda corner: int(seen[corner[0] :, corner[1] :][:across, :across].sum()))
     frame.canvas.image[y : y + across, x : x + across] = near.canvas.image
