@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping
 from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
@@ -47,11 +47,13 @@ def paired(names: Iterable[str], others: Iterable[str]) -> dict[str, str]:
     return found
 
 
-def counted_apart(names: Iterable[str], others: Iterable[str]) -> bool:
+def counted_apart(names: Collection[str], others: Collection[str]) -> bool:
     """Whether there are as many names as others, at least three, and one are counted from 0, the others from 1."""
+    if len(names) != len(others) or len(names) < 3:  # readings may have millions of rows
+        return False
     numbers, theirs = (sorted(map(_counted, of_either)) for of_either in (names, others))
     counts = [*range(len(numbers))], [*range(1, len(numbers) + 1)]
-    return len(numbers) > 2 and (numbers, theirs) in (counts, counts[::-1])
+    return (numbers, theirs) in (counts, counts[::-1])
 
 
 def with_names_of(
@@ -65,10 +67,13 @@ def with_names_of(
         Most masks pair with no image or row, though there are about as many images as masks; or two have the number of
         one image.
     """
-    images, rows = list(images), list(rows)
-    met, of_images = paired(masks, images), set(paired(images, rows).values())
-    met |= paired((name for name in masks if name not in met), (row for row in rows if row not in of_images))
-    alone = [name for name in masks if name not in met]
+    images = list(images)
+    met = paired(masks, images)
+    if alone := [name for name in masks if name not in met]:
+        rows = list(rows)
+        of_images = set(paired(images, rows).values())
+        met |= paired(alone, (row for row in rows if row not in of_images))
+        alone = [name for name in alone if name not in met]
     if 2 * len(alone) > len(masks) and len(images) > 1 and 2 * len(images) >= len(masks):
         raise InputError(
             f"{folder}: expected masks with the names or the numbers of the frames, got {listed(alone, 2)} and frames "
@@ -82,7 +87,7 @@ def with_names_of(
 
 def with_masks_beside(names: Iterable[str]) -> list[str]:
     """List the first name that another one is without an annotator's words, and that one; none if there is no such."""
-    own = list(names)
+    own = dict.fromkeys(names)
     return next(([name, same] for same in own if (name := _without_words(same)) != same and name in own), [])
 
 

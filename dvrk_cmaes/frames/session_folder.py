@@ -463,7 +463,7 @@ def _session_frames(
 
 def _unused(root: Path, *, masks: bool, joints: bool) -> Iterator[str]:
     """Yield what a session folder has under other names than those that are read: of masks, and of readings."""
-    for path in sorted(root.iterdir()):
+    for path in sorted(root.iterdir()) if masks or joints else ():
         pictures = path.is_dir() and any(inner.suffix.lower() in _IMAGE_SUFFIXES for inner in path.iterdir())
         of_masks = (pictures or path.suffix == ".json") and path.name not in ("images", "ignore", "golden.json")
         if (masks and of_masks) or (joints and path.suffix.lower() == ".csv" and path.name not in _TABLES):
@@ -533,8 +533,9 @@ def _meeting(
             continue
         labels = list(file.names)
         if file.labels == "frame":
-            rows = {row: name for name, row in paired(frames, labels).items()}
-            file = replace(file, names={rows.get(row, row): place for row, place in file.names.items()})
+            rows = {row: name for name, row in paired(frames, labels).items() if row != name}
+            if rows:
+                file = replace(file, names={rows.get(row, row): place for row, place in file.names.items()})
         common = [name for name in frames if (name if file.labels == "frame" else str(number_of(name))) in file.names]
         if not common and len(frames) > 1:  # a single frame may lack readings
             raise InputError(
