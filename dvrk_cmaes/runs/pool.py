@@ -122,7 +122,7 @@ class Pool(Workers):
     count
         Number of processes, each of which is started when there is a task for it.
     here
-        Whether this process does tasks as well as the others, with one thread in its libraries from then on.
+        Whether this process does tasks as well as the others, with one thread in its libraries meanwhile.
 
     Its ``report`` is called with the number of tasks of `values` that are done and of all. Once its ``stop`` is set,
     `values` finishes the running ones and raises `StoppedError`.
