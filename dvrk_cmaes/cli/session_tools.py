@@ -87,8 +87,8 @@ def _read_arm(
 ) -> ArmInSession:
     """Load the instrument of an arm, and read the session with its own masks and readings, and its calibration."""
     from dvrk_cmaes.estimation.one_tool import FrameMethod
-    from dvrk_cmaes.frames.overlays import OVERLAID, with_overlaid
-    from dvrk_cmaes.frames.session_folder import NO_READINGS, WARNED, read_session
+    from dvrk_cmaes.frames.overlays import with_overlaid
+    from dvrk_cmaes.frames.session_folder import NO_READINGS, read_session
     from dvrk_cmaes.runs.frame import ArmInSession
 
     settings, named, own = given.settings(), given.instrument.instrument, tool.instrument
@@ -101,9 +101,8 @@ def _read_arm(
     session = with_overlaid(session) if ahead else session
     if asked["joints"] is not None and NO_READINGS in session.notes:
         note(f"{folder}: no joints.csv, as with --joints none: {TWIN}")
-    for text in session.notes:
-        if text.startswith((*WARNED, OVERLAID)):
-            warn(f"{folder}: {text}")
+    for text in session.warnings:
+        warn(f"{folder}: {text}")
     known = calibrated.read(body, given.instrument.arm, tool.arm)
     method = FrameMethod(given.instrument.arm or tool.kinematics or "classic", settings, known)
     return ArmInSession(session, body, method, tool.arm)

@@ -17,11 +17,8 @@ import numpy as np
 
 from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.frames.frame import FrameFiles, image_of, mask_of, readable
-from dvrk_cmaes.frames.session_folder import Session
+from dvrk_cmaes.frames.session_folder import OVERLAID, Session
 from dvrk_cmaes.geometry import Bool, Float32, Image
-
-OVERLAID: Final = "what lies over all pictures and never changes, as texts or a border, is ignored"
-"""Note on frames with such pixels."""
 
 _FEWEST: Final = 8  # images
 _MOST: Final = 24  # images that are looked at, spread evenly, ...

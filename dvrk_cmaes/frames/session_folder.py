@@ -49,7 +49,10 @@ from dvrk_cmaes.joints.rows import BY_THEMSELVES, JointFile, ReadAs, number_of
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.times import read_image_times, time_in_name
 
-WARNED = ("rows and frames differ in number", "paired in order", "masks without", "not read")
+OVERLAID = "what lies over all pictures and never changes, as texts or a border, is ignored"
+"""Note on frames with such pixels."""
+
+WARNED = ("rows and frames differ in number", "paired in order", "masks without", "not read", OVERLAID)
 """Beginnings of the notes of a session that commands warn of: files that may be of other frames, or are not used."""
 
 NO_READINGS = "readings: none"
@@ -102,6 +105,11 @@ class Session:
     def view_names(self) -> tuple[str, ...]:
         """Names of the views, which are subfolders of the folders of masks and images; ``.`` for one camera."""
         return self.rig.names if len(self.rig.views) > 1 else (".",)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The notes that commands warn of."""
+        return tuple(note for note in self.notes if note.startswith(WARNED))
 
     def reading_series(self) -> ReadingSeries | None:
         """Return all readings as functions of time, with the frames' times; None where there is no common clock.

@@ -498,7 +498,7 @@ def _of_arm(session: Session, instrument: str | None) -> Finding:
         f"camera {camera.width} x {camera.height} px, focal lengths {camera.fx:.3f} and {camera.fy:.3f} px",
         *_clock(session),
         *(remark for remark in session.rig.remarks if not remark.startswith(WRONG)),
-        *(note for note in session.notes if note.startswith(WARNED)),
+        *session.warnings,
         f"instrument {instrument or 'lnd, assumed: session.toml names none (--instrument)'}",
         _next(session),
     ]

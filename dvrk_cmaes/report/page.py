@@ -89,7 +89,7 @@ def session_page(folder: ResultsFolder) -> Page:
         f"{name}{len(results)} frame{'' if len(results) == 1 else 's'}{f' of {instruments}' if instruments else ''}"
         + (f" · dvrk-cmaes {version}" if version else ""),
         {status: sum(result.status == status for result in results) for status in reversed(_STATUSES)},
-        alerts=() if calibration is None else calibration.warnings,
+        alerts=[*summary.get("warnings", ()), *(() if calibration is None else calibration.warnings)],
         notes=[*notes, *(f"In every frame: {text}" for text in common_warnings(results))],
         figures=list(session_figures(solved, summary)),
         reasons=counted_reasons(result.reasons for result in results),

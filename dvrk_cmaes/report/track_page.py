@@ -48,7 +48,7 @@ class FollowedRecording:
     calibration : base, offsets and lag as they were found, or None. readings : at the images' times by joint, (F,) rad,
     NaN where there is none. overlaps : IoU of mask and silhouette, (F,), NaN where there is none. pictures : small
     pictures as ``data:`` addresses, by index of the frame. video : name of the overlay video in the page's folder;
-    empty without one.
+    empty without one. warnings : those of the session's files.
     """
 
     rows: Sequence[Mapping[str, Any]]
@@ -59,6 +59,7 @@ class FollowedRecording:
     overlaps: Float64 = field(default_factory=lambda: np.zeros(0))
     pictures: dict[int, str] = field(default_factory=dict)
     video: str = ""
+    warnings: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         if not len(self.overlaps):
@@ -146,7 +147,7 @@ def track_page(recording: FollowedRecording) -> Page:
         f"{recording.session} · {len(rows)} frame{'' if len(rows) == 1 else 's'} of {recording.instrument} · "
         f"dvrk-cmaes {__version__}",
         {status: counts[status] for status in _STATUSES},
-        alerts=() if recording.calibration is None else recording.calibration.warnings,
+        alerts=[*recording.warnings, *(() if recording.calibration is None else recording.calibration.warnings)],
         notes=notes,
         figures=list(_figures(recording, events)),
         reasons=counted_reasons(row["reasons"] for row in rows),

@@ -1,8 +1,8 @@
 """What the results in a folder were made with: fields of its ``run.json``, compared before results are added.
 
 Fields: version, instrument {name, digest}, arm, cameras (digest), config, segment {model, weights, backgrounds},
-calibration (digest or null), session (its path; not compared), frames {frame: {part: size and time of a file, or
-digest}}
+calibration (digest or null), session (its path; not compared), warnings (the session's; not compared),
+frames {frame: {part: size and time of a file, or digest}}
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ Manifest = dict[str, Any]
 FrameParts = Mapping[str, Mapping[str, str]]
 """Stamps of the parts of each frame, as of `frame_stamps`."""
 
-_NOT_COMPARED: Final = ("session", "frames")
+_NOT_COMPARED: Final = ("session", "warnings", "frames")
 _OF_FILES: Final = ("mask", "image", "video")
 _MOST_SHOWN: Final = 5
 ADVICE: Final = "choose another --out, or begin anew with --overwrite"
@@ -122,6 +122,7 @@ def manifest_of(arm: ArmInSession, frames: FrameParts) -> Manifest:
         },
         "calibration": None if method.session is None else digest_of(json_text(method.session.to_dict())),
         "session": str(arm.session.folder),
+        "warnings": list(arm.session.warnings),
         "frames": _sorted(frames),
     }
 

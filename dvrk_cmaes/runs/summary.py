@@ -52,6 +52,7 @@ def summarize(
     return {
         "schema": SCHEMA,
         "session": manifest["session"],
+        "warnings": manifest.get("warnings", []),
         "version": manifest["version"],
         "instrument": manifest["instrument"]["name"],
         "counts": {

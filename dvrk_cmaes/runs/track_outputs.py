@@ -81,7 +81,8 @@ def write_outputs(arm: TrackedArm) -> None:
     page, log, writer = None, None, None
     if settings.page:
         video = VIDEO if settings.video else ""
-        page = FollowedRecording(rows, name, instrument.name, arm.calibration, readings, video=video)
+        alerts = arm.session.warnings
+        page = FollowedRecording(rows, name, instrument.name, arm.calibration, readings, video=video, warnings=alerts)
     with ExitStack() as opened:
         if settings.video:
             writer = opened.enter_context(whole_video(arm.out / VIDEO, _size_of_views(rig), arm.frames_a_second))

@@ -13,7 +13,8 @@ import yaml
 from numpy.typing import NDArray
 
 from dvrk_cmaes import read_frame, read_session
-from dvrk_cmaes.frames.overlays import OVERLAID, overlaid, with_overlaid
+from dvrk_cmaes.frames.overlays import overlaid, with_overlaid
+from dvrk_cmaes.frames.session_folder import OVERLAID
 
 Image = NDArray[np.uint8]
 HEIGHT, WIDTH, IMAGES = 240, 320, 10

@@ -203,6 +203,18 @@ def test_masks_and_readings_of_other_names_are_named(tmp_path: Path) -> None:
     assert "not read" not in ran.out
 
 
+def test_warnings_of_a_folder_are_on_the_page_and_in_the_summary(tmp_path: Path, quick: Path) -> None:
+    folder = demo_as(tmp_path, "{:04d}.png")
+    (folder / "joints.csv").rename(folder / "kinematics.csv")
+    ran = run("batch", folder, "--frames", "0001", "--config", quick, "--out", tmp_path / "out", "--workers", 1)
+    text = "not read: kinematics.csv: session.toml can name"
+    assert text in ran.err
+    assert [
+        warning[: len(text)] for warning in json.loads((tmp_path / "out/summary.json").read_text())["warnings"]
+    ] == [text]
+    assert text in (tmp_path / "out/report.html").read_text()
+
+
 def test_images_and_their_masks_in_one_folder_are_refused(tmp_path: Path) -> None:
     for k in range(3):
         shutil.copy(DEMO / "images" / f"{k:04d}.jpg", tmp_path)
