@@ -152,7 +152,7 @@ class Pool(Workers):
         return self
 
     def submit(self, call: Callable[..., R], *arguments: Any) -> Future[R]:
-        """Submit a call."""
+        """Submit a call; the future of a pool that a death has just broken has ended with its error."""
         with self._lock, _interrupts_blocked():
             if self._pool is None:
                 if self._packed is None:  # a file, since what is handed to a process is waited for until it is read
@@ -161,7 +161,12 @@ class Pool(Workers):
                     self._packed.flush()
                 spawn = multiprocessing.get_context("spawn")
                 self._pool = ProcessPoolExecutor(self.count, spawn, _begin, (self._packed.name,))
-            return self._pool.submit(call, *arguments)
+            try:
+                return self._pool.submit(call, *arguments)
+            except BrokenProcessPool as error:
+                broken = Future[R]()
+                broken.set_exception(error)
+                return broken
 
     def value(self, future: Future[R]) -> R:
         """Return the value of a call that has ended; raises what the call raised."""

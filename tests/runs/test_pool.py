@@ -64,6 +64,16 @@ def test_dead_or_hanging_process_loses_its_task_only(tmp_path: Path) -> None:
     wait_for(lambda: not multiprocessing.active_children())
 
 
+def test_pool_that_is_broken_before_a_call_is_submitted_is_renewed(tmp_path: Path) -> None:
+    def tasks() -> Iterator[int]:
+        yield 5
+        wait_for(lambda: (tmp_path / "5").exists() and not multiprocessing.active_children())
+        yield 6
+
+    found = dict(run_in_pool(functools.partial(squared_with_faults, tmp_path), tasks(), workers=2))
+    assert found == {5: 25, 6: 36}
+
+
 def test_native_code_that_does_not_come_back_is_ended_with_its_process(monkeypatch: pytest.MonkeyPatch) -> None:
     call = functools.partial(hang_in_native_code, 1.0)
     assert dict(run_in_pool(call, range(2), time_limit=60)) == {
