@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -176,10 +176,18 @@ class InstrumentOptions:
     arm
         Arm whose kinematics are used to compute camera_from_base: classic or si. By default that of session.toml, or
         else classic.
+    description
+        Checkout of jhu-dvrk/dvrk_model: --instrument may then be a number, such as 400093, of a URDF in it.
     """
 
     instrument: str | None = None
     arm: Literal["classic", "si"] | None = None
+    description: Path | None = None
+
+    @property
+    def described(self) -> Mapping[str, Path]:
+        """The ROS package of the description, by its name."""
+        return {} if self.description is None else {"dvrk_model": self.description}
 
 
 @Parameter(name="*", group=INSTRUMENT)
@@ -192,8 +200,6 @@ class UrdfOptions(InstrumentOptions):
     package_path
         NAME=DIR: folder of the ROS package NAME, for package://NAME/... paths in the URDF. Other packages are searched
         for in the URDF's folder and its parents. May be given several times.
-    description
-        Checkout of jhu-dvrk/dvrk_model: --instrument may then be a number, such as 400093, of a URDF in it.
     root_link
         Link of the URDF whose pose is estimated; the shaft must be on it or below it. roll_link by default.
     tool
@@ -202,7 +208,6 @@ class UrdfOptions(InstrumentOptions):
     """
 
     package_path: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)] = ()
-    description: Path | None = None
     root_link: str | None = None
     tool: Path | None = None
 
@@ -215,8 +220,7 @@ class UrdfOptions(InstrumentOptions):
         """Return the tool of these options that an arm holds, as session.toml would name it."""
         from dvrk_cmaes.frames.session_toml import ToolEntry
 
-        packages = split_packages(self.package_path)
-        packages |= {} if self.description is None else {"dvrk_model": self.description}
+        packages = {**split_packages(self.package_path), **self.described}
         return ToolEntry(arm, self.kinematics, self.instrument or "lnd", packages, self.root_link, self.tool)
 
     def load(self) -> Body:

@@ -96,7 +96,7 @@ def _read_arm(
         if own is not None and named != own and Path(named).resolve() != Path(own).resolve():
             warn(f"{tool.arm}: session.toml names {own}, but --instrument {named} is used")
         tool = replace(tool, instrument=named, packages={}, root_link=None, tool=None)
-    body = load_tool(tool)
+    body = load_tool(replace(tool, packages={**tool.packages, **given.instrument.described}))
     session = read_session(folder, arm=tool.arm or None, known=body.instrument.joint_names, **asked)
     session = with_overlaid(session) if ahead else session
     if asked["joints"] is not None and NO_READINGS in session.notes:

@@ -64,7 +64,7 @@ def _urdf_path(source: str | Path, folders: Iterable[str | Path]) -> Path:
     known = ", ".join(nearest_first(str(source), bundled_names())) or "none"
     if path.is_dir():
         raise InputError(f"{source}: a folder; expected a URDF file or a bundled instrument ({known})")
-    number = "; others by number: `estimate --description`, or by the path of a URDF" if name.isdecimal() else ""
+    number = "; others by number: `--description DIR`, or by the path of a URDF" if name.isdecimal() else ""
     raise InputError(f"{source}: no such URDF file, nor a bundled instrument (bundled: {known}{number})")
 
 

@@ -290,6 +290,12 @@ def test_instrument_is_found_by_package(tmp_path: Path, quick: Path) -> None:
     assert found.document["camera_from_root"] == bundled.document["camera_from_root"]
     words = ("inspect", tmp_path / "own.urdf", "--package-path", options["package_path"], "--json")
     assert run(*words).document[0]["kind"] == "instrument (URDF)"
+    (tmp_path / "own.urdf").rename(tmp_path / "robots" / "instrument_400999.urdf")
+    words = ("batch", DEMO, "--instrument", 400999, "--description", tmp_path / "robots", "--frames", "0001")
+    session = run(*words, "--config", quick, "--out", tmp_path / "out", "--workers", 1)
+    assert session.code in (0, 3)
+    result = json.loads((tmp_path / "out" / "frames" / "0001.json").read_text())
+    assert result["camera_from_root"] == bundled.document["camera_from_root"]
 
 
 def test_published_instruments_are_prepared(shared: Path) -> None:

@@ -104,7 +104,7 @@ def test_pattern_that_the_shell_expanded_is_to_be_quoted(tmp_path: Path) -> None
 def test_instrument_by_a_number_that_is_not_bundled_names_the_option_that_finds_it(tmp_path: Path) -> None:
     mask = DEMO / "masks" / "0001.png"
     refusal = run("estimate", "--mask", mask, "--camera", DEMO / "camera.yaml", "--instrument", 400181).refusal
-    assert "others by number: `estimate --description`" in refusal
+    assert "others by number: `--description DIR`" in refusal
 
 
 def test_camera_that_is_missing_says_what_to_do(tmp_path: Path) -> None:
