@@ -177,8 +177,8 @@ def track(
     keyframes tell the arm's base.
 
     Exit codes: 0 all ok, 1 the work could not be done, 2 wrong usage or input, 3 finished, but a frame is doubtful or
-    lost, 130 interrupted. What an earlier run wrote to OUT is replaced. An interrupted run with --causal leaves the
-    rows of tracks.jsonl so far, one that was killed all but the last 100 at most; neither is gone on with.
+    lost, 130 interrupted. What an earlier run wrote to OUT is replaced at the end, and stays where the command
+    fails. An interrupted run with --causal leaves the rows of tracks.jsonl so far, which no other run continues.
 
     Example:
 

@@ -174,7 +174,7 @@ class Output:
     """An open and locked folder that a command writes to.
 
     ``files`` are its files with the digests that each may have, "" for any: that of its content, and until it is
-    written again those before.
+    written again those before. ``written`` are those that were written since it was opened.
     """
 
     def __init__(self, path: Path, command: str, wait: float) -> None:
@@ -182,6 +182,7 @@ class Output:
         self.path, self.command = path, command
         self.head: dict[str, Any] = {}
         self.files: dict[str, list[str]] = {}
+        self.written: set[str] = set()
         self._status = path.stat()
         self._run, self._end, self._changed = _locked(path, command, wait), 0, False
         try:
@@ -281,13 +282,15 @@ class Output:
             self.note(name, None)
             _remove_empty(place.parents[: name.count("/")])
 
-    def clear(self) -> None:
-        """Remove all files that run.json lists, unless one was changed since."""
-        self.refuse(self.files)
-        for name in list(self.files):
+    def remove_stale(self) -> None:
+        """Remove the files that run.json lists and that were not written since the folder was opened.
+
+        None is removed if one of them was changed since it was written.
+        """
+        stale = self.files.keys() - self.written
+        self.refuse(stale)
+        for name in stale:
             self.remove(name)
-        self.files = {}
-        self.describe({})
 
     def others(self, kept: Collection[str] = ()) -> list[str]:
         """Return the files that the command did not write, without those in subfolders that are ``kept``.
@@ -455,6 +458,7 @@ def whole_file(path: Path, what: str) -> Iterator[Path]:
             os.replace(made, place)
             if out is not None:
                 out.files[name] = [digest]
+                out.written.add(name)
 
 
 @contextlib.contextmanager

@@ -144,7 +144,8 @@ def run_batch(
     with output(out, COMMAND) as own:
         if not resume:
             own.refuse((*TABLES, *results_of([files.name for files in frames], session.rig.names)))
-            own.clear()
+            own.remove_stale()
+            own.describe({})
         todo, kept = _prepare(out, own, arm, frames)
         if kept:
             workers.notice(f"results are there of {len(kept)} frames, {len(todo)} are to be done")

@@ -26,7 +26,7 @@ from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.atomic import write_json, write_text
 from dvrk_cmaes.io.encode import encoded
-from dvrk_cmaes.io.output import output
+from dvrk_cmaes.io.output import Output, output
 from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
@@ -49,7 +49,6 @@ from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.track import Tracker
 from dvrk_cmaes.track.keyframe_problem import SolutionSchedule
 
-_WRITTEN_EVERY: Final = 100  # frames that are followed from image to image, after which their rows are written
 _SAME_TIME: Final = 1e-9  # s
 
 
@@ -153,13 +152,11 @@ class TrackedArm:
         begun: Begun[RecordedSolution | str | None] = Begun.of(None)
         with ExitStack() as stack:
             own = stack.enter_context(output(self.out, "track"))
-            own.refuse((TRACKS, TABLE, VIDEO, PAGE, SESSION))
-            own.clear()
-            own.describe(self._manifest())
+            own.refuse((TRACKS, TABLE, VIDEO, PAGE, SESSION, *own.files))
             if self.settings.use_joints and not self.settings.causal:
                 with suppress(StoppedError):
                     begun = self._begin_keyframes(stack)
-            return Begun(partial(self._finish, begun), begun.arm).within(stack.pop_all())
+            return Begun(partial(self._finish, own, begun), begun.arm).within(stack.pop_all())
 
     def _begin_keyframes(self, stack: ExitStack) -> Begun[RecordedSolution | str | None]:
         """Use the calibration that was given, or else solve the keyframes."""
@@ -189,12 +186,16 @@ class TrackedArm:
             else begin_images(recorded, given, method.hints or Hints(), work)
         )
 
-    def _finish(self, begun: Begun[RecordedSolution | str | None], outcome: Outcome | None) -> TrackedArm:
-        """Finish the keyframes of the arm, whose folder and processes are open, follow it, and write everything."""
+    def _finish(self, own: Output, begun: Begun[RecordedSolution | str | None], outcome: Outcome | None) -> TrackedArm:
+        """Finish the keyframes of the arm, whose folder and processes are open, follow it, and write everything.
+
+        What an earlier run wrote is there until it is replaced; what is not replaced is removed at the end.
+        """
         with suppress(StoppedError):
             self._follow(begun.finish(outcome))
+        own.describe(self._manifest())
         if self.rows:
-            self._write_rows()
+            write_text(self.out / TRACKS, "".join(line_of(row) for row in self.rows))
         calibration = self.calibration
         lag = None if calibration is None else calibration.applied_lag
         late = (self.settings.lag or 0.0) if lag is None else lag.in_seconds(1 / self.clock.interval)
@@ -209,11 +210,8 @@ class TrackedArm:
             write_table(self.out / TABLE, self.rows, self.body.instrument.joint_names)
             if self.rows:
                 write_outputs(self)
+        own.remove_stale()
         return self
-
-    def _write_rows(self) -> None:
-        """Write the rows of the frames that were followed so far."""
-        write_text(self.out / TRACKS, "".join(line_of(row) for row in self.rows))
 
     def _follow(self, found: RecordedSolution | str | None) -> None:
         """Follow by the solution of the keyframes, or from image to image after a line that says why there is none."""
@@ -248,8 +246,6 @@ class TrackedArm:
                 self.rows.append(self._row(files, tracker.step(time, *seen)))
                 schedule.after_step(time)
                 self._report(len(self.rows), len(self.frames))
-                if len(self.rows) % _WRITTEN_EVERY == 0:
-                    self._write_rows()
                 if self._stop.is_set():
                     break
             else:

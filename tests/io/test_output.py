@@ -31,7 +31,7 @@ def write(
 ) -> None:
     with output(out, "batch") as own:
         if replaces:
-            own.clear()
+            own.remove_stale()
         for name in names:
             write_text(out / name, text)
 

@@ -276,7 +276,11 @@ def test_another_run_replaces_all_that_an_earlier_one_wrote_and_nothing_else(
     out = tmp_path / "out"
     shutil.copytree(kept(*short, "--out", OUT).folder, out)
     (out / "notes.txt").write_text("mine")
-    before = content(out)
+    before, torn = content(out), tmp_path / "torn"
+    shutil.copytree(Path(str(short[1])), torn)
+    (torn / "masks" / "0030.png").write_bytes(b"torn")
+    assert run("track", torn, *short[2:], "--causal", "--out", out, "--workers", 1).code == 2
+    assert content(out) == before
     page = (*short[:-2], "--no-video", "--lag", 0.1, "--out", out, "--workers", 1)
     assert run(*page).code == 3
     assert json.loads((out / "run.json").read_text())["track"]["lag"] == 0.1
