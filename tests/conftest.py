@@ -21,7 +21,7 @@ from helpers.named_failures import NamedFailures
 from helpers.places import SHARED
 from helpers.plain_pictures import plain_pictures, small_overlays
 from helpers.processes_here import processes_here, real_processes
-from helpers.shared_estimates import shared_estimates
+from helpers.shared_estimates import shared_estimates, short_searches
 from hypothesis import settings
 
 from dvrk_cmaes import Body, Camera, load_instrument, read_camera
@@ -189,6 +189,13 @@ def own_processes(tasks_here: None) -> Iterator[None]:
 def estimates_shared() -> Iterator[None]:
     """Let commands and batches of a test, and of others with this fixture, estimate each frame once for all of them."""
     with shared_estimates():
+        yield
+
+
+@pytest.fixture(scope="module")
+def searches_short() -> Iterator[None]:
+    """Let the searches of a file's tests be of a third of the usual candidates, where their settings are not given."""
+    with short_searches():
         yield
 
 

@@ -26,6 +26,8 @@ from dvrk_cmaes.camera.rig_files import read_rig
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.runs.calibrate_folder import write_cameras
 
+pytestmark = pytest.mark.usefixtures("searches_short")
+
 RIGHT_FROM_LEFT = transform(np.eye(3), [-0.0053, 0.0, 0.0])
 RIG = Rig.stereo(SMALL, SMALL, RIGHT_FROM_LEFT)
 TURN = np.array([0.3, 0.0, 0.0])  # deg

@@ -21,6 +21,8 @@ from dvrk_cmaes import (
     estimate,
 )
 
+pytestmark = pytest.mark.usefixtures("searches_short")
+
 RIGHT_FROM_LEFT = transform(np.eye(3), [-0.0053, 0.0, 0.0])
 RIG = Rig.stereo(SMALL, SMALL, RIGHT_FROM_LEFT)
 SETTINGS = EstimateConfig()

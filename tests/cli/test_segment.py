@@ -158,6 +158,7 @@ def test_masks_by_sam2_are_those_of_the_session(
     assert mask.sum() < 1.05 * 100 * 340
 
 
+@pytest.mark.usefixtures("tasks_here")
 def test_batch_without_masks(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     session, out = tmp_path / "session", tmp_path / "out"
     (session / "images").mkdir(parents=True)

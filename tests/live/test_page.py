@@ -195,6 +195,7 @@ def test_launch_file_starts_commands_that_are_valid(monkeypatch: pytest.MonkeyPa
     assert nodes["robot_state_publisher"].remappings == [("joint_states", "/dvrk_cmaes/PSM2/measured_js")]
 
 
+@pytest.mark.usefixtures("tasks_here", "estimates_shared")
 def test_results_become_the_bag_that_is_shown_in_rviz(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "data").symlink_to(ROOT / "data")
     monkeypatch.chdir(tmp_path)

@@ -17,6 +17,8 @@ from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.live.follow import ArmSetup, FollowedArm
 
+pytestmark = pytest.mark.usefixtures("searches_short")
+
 CONFIG = EstimateConfig(trust=TrustConfig(tip_mm=3.0))  # small images tell less about the depth
 
 

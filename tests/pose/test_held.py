@@ -9,6 +9,8 @@ from helpers.session_worlds import SMALL, make_frames_in_memory
 
 from dvrk_cmaes import Body, FrameData, estimate
 
+pytestmark = pytest.mark.usefixtures("searches_short")
+
 HELD = "something thin is held in the jaws: its pixels do not count"
 
 

@@ -27,7 +27,9 @@ from dvrk_cmaes import Camera, read_camera, read_session
 from promises.program import OUT, PROGRAM, Kept, distance, matrix, median, run, synth, truth
 from promises.test_recordings import ONE, PAIR, PLAIN
 
-FRAMES = 12
+pytestmark = pytest.mark.usefixtures("searches_short")
+
+FRAMES = 8
 START = 1_795_000_000
 OUTER = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw")
 

@@ -32,10 +32,12 @@ from promises.program import (
     truth,
 )
 
+pytestmark = pytest.mark.usefixtures("searches_short")
+
 VIDEO = ("--motion", "video", "--level", "easy", "--no-images")
 ONE = (*VIDEO, "--frames", 32, "--seed", 5, "--lag", "2frames")
-STEERED = (*VIDEO, "--frames", 28, "--seed", 7, "--ecm")
-PAIR = (*VIDEO, "--frames", 12, "--seed", 3, "--arms", 2, "--stereo")
+STEERED = (*VIDEO, "--frames", 20, "--seed", 7, "--ecm")
+PAIR = (*VIDEO, "--frames", 8, "--seed", 3, "--arms", 2, "--stereo")
 IMAGES = ("--motion", "video", "--level", "easy", "--frames", 12, "--seed", 8)
 POSTURES = ("--level", "easy", "--frames", 14, "--seed", 5)
 PLAIN = ("--no-video", "--no-page")
@@ -174,7 +176,7 @@ def test_two_arms_are_followed_by_both_eyes(kept: Kept) -> None:
     out = kept("track", session, "--out", OUT, *PLAIN).folder
     for arm in ("PSM1", "PSM2"):
         found = tracks(out / arm)
-        assert len(found) == 12
+        assert len(found) == 8
         assert check(found, truth(session, arm)) < 1.5
     arms = json.loads((out / "arms.json").read_text())
     bases = [matrix(json.loads((session / f"golden_PSM{k}.json").read_text()), "camera_from_base") for k in (1, 2)]
@@ -188,10 +190,10 @@ def test_base_of_an_arm_is_exported(kept: Kept) -> None:
 
 
 def test_one_arm_can_be_chosen(kept: Kept, tmp_path: Path, quick: Path) -> None:
-    words = ("--config", quick, "--only", "PSM2", "--lag", "0", "--every", "10", "--workers", 1, *PLAIN)
+    words = ("--config", quick, "--only", "PSM2", "--lag", "0", "--every", "5", "--workers", 1, *PLAIN)
     assert run("track", synth(kept, *PAIR), "--out", tmp_path / "out", *words).code in (0, 3)
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["PSM2", "run.json"]
-    assert list(tracks(tmp_path / "out" / "PSM2")) == ["0000", "0010"]
+    assert list(tracks(tmp_path / "out" / "PSM2")) == ["0000", "0005"]
 
 
 @pytest.mark.parametrize(
@@ -315,7 +317,9 @@ def test_same_input_gives_the_same_tracks(kept: Kept, tmp_path: Path) -> None:
         assert row == first[frame]
 
 
-def test_lag_at_the_end_of_those_at_which_frames_have_readings_is_not_taken_out(kept: Kept, tmp_path: Path) -> None:
+def test_lag_at_the_end_of_those_at_which_frames_have_readings_is_not_taken_out(
+    kept: Kept, tmp_path: Path, quick: Path
+) -> None:
     recording, session = synth(kept, *ONE), tmp_path / "session"
     session.mkdir()
     shutil.copy(recording / "camera.yaml", session)
@@ -324,13 +328,13 @@ def test_lag_at_the_end_of_those_at_which_frames_have_readings_is_not_taken_out(
     cells = [row.split(",") for row in rows]
     late = [[*now[:2], *later[2:]] for now, later in zip(cells[:9], cells[5:], strict=False)]  # by 2 + 5 frames
     (session / "joints.csv").write_text("\n".join([head, *map(",".join, late)]) + "\n")
-    run("calibrate", session, "--out", tmp_path / "out", "--workers", 1)
+    run("calibrate", session, "--out", tmp_path / "out", "--config", quick, "--workers", 1)
     document = json.loads((tmp_path / "out" / "session.json").read_text())
     assert document["lag"] is None
     assert any("end of the range" in text for text in document["undetermined"])
 
 
-def test_lag_of_a_motion_that_repeats_itself_is_not_taken_out(kept: Kept, tmp_path: Path) -> None:
+def test_lag_of_a_motion_that_repeats_itself_is_not_taken_out(kept: Kept, tmp_path: Path, quick: Path) -> None:
     recording, session = synth(kept, *ONE), tmp_path / "session"  # its images are 2 frames late
     (session / "masks").mkdir(parents=True)
     shutil.copy(recording / "camera.yaml", session)
@@ -343,7 +347,7 @@ def test_lag_of_a_motion_that_repeats_itself_is_not_taken_out(kept: Kept, tmp_pa
         shutil.copy(mask, session / "masks" / f"{k:04d}.png")
         lines.append(",".join([*cells[k][:2], *cells[there_and_back[k % 12]][2:]]))
     (session / "joints.csv").write_text("\n".join([head, *lines]) + "\n")
-    run("calibrate", session, "--out", tmp_path / "out", "--workers", 1)
+    run("calibrate", session, "--out", tmp_path / "out", "--config", quick, "--workers", 1)
     document = json.loads((tmp_path / "out" / "session.json").read_text())
     assert document["lag"] is None
     assert any("about as well" in text for text in document["undetermined"])

@@ -18,7 +18,7 @@ from scipy.spatial.transform import RigidTransform
 from dvrk_cmaes import read_results, read_session
 from dvrk_cmaes.instrument.arm import base_from_root, root_from_tip
 
-pytestmark = pytest.mark.usefixtures("tasks_here", "estimates_shared")
+pytestmark = pytest.mark.usefixtures("searches_short", "tasks_here", "estimates_shared")
 
 Import = Callable[..., Ran]
 REFERENCE_FROM_BASE = RigidTransform.from_exp_coords([0.3, -0.4, 0.2, 0.1, -0.2, 0.3])

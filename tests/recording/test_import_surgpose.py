@@ -29,6 +29,8 @@ from dvrk_cmaes.frames.markers import place_markers, read_detections, read_marke
 from dvrk_cmaes.runs.keyframes import segment_task
 from dvrk_cmaes.segment.segmentation import Hints
 
+pytestmark = pytest.mark.usefixtures("searches_short")
+
 Run = Callable[..., Ran]
 
 
@@ -252,6 +254,7 @@ def test_box_in_the_left_eye_chooses_the_arm_in_the_right_one(run: Run, made: Pa
         assert (view.mask & true).sum() > 0.95 * (view.mask | true).sum()
 
 
+@pytest.mark.usefixtures("tasks_here")
 def test_arm_is_followed_to_about_a_pixel(run: Run, made: Path) -> None:
     """The arm is the one in the boxes; its image is the only evidence."""
     run("import", made, "--arm", "PSM3", "--side", "both", "--out", "session")

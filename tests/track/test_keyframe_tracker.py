@@ -11,6 +11,8 @@ from helpers.moving_worlds import MovingWorld, moving_world
 
 from dvrk_cmaes import EstimateConfig, SessionCalibration, Solution, Tracker, TrackResult
 
+pytestmark = pytest.mark.usefixtures("searches_short")
+
 OUTER_JOINTS = ("yaw", "pitch", "insertion", "roll")
 CONFIG = replace(EstimateConfig(), trust=replace(EstimateConfig().trust, tip_mm=3.0))
 """Settings for small images, which tell less about the depth."""
