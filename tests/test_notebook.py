@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import json
+import shlex
 import subprocess
 from contextlib import redirect_stdout
 from io import StringIO
 from typing import Any
 
 import pytest
-from helpers.commands import main
 from helpers.places import ROOT, SCRIPTS
-from helpers.printed_blocks import words
+from helpers.printed_blocks import run, words
+
+
+def here(command: list[Any], **_: object) -> None:
+    """Run ``python -m dvrk_cmaes`` with its words in this process."""
+    assert run(shlex.join(["dvrk-cmaes", *map(str, command[3:])])).code == 0
 
 
 def test_notebook_runs_from_a_folder_to_plots_as_its_outputs_show(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -21,7 +26,7 @@ def test_notebook_runs_from_a_folder_to_plots_as_its_outputs_show(monkeypatch: p
     from matplotlib import pyplot as plt
 
     monkeypatch.chdir(ROOT)
-    monkeypatch.setattr(subprocess, "run", lambda words, **_: main(words[3:]))  # python -m dvrk_cmaes, in this process
+    monkeypatch.setattr(subprocess, "run", here)
     notebook = json.loads((SCRIPTS / "examples" / "folder_to_plots.ipynb").read_text(encoding="utf-8"))
     names: dict[str, Any] = {}
     figures = 0

@@ -29,7 +29,7 @@ from promises.test_recordings import ONE, PAIR, PLAIN
 
 pytestmark = pytest.mark.usefixtures("searches_short")
 
-FRAMES = 8
+FRAMES = 12
 START = 1_795_000_000
 OUTER = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw")
 

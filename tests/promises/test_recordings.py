@@ -37,7 +37,7 @@ pytestmark = pytest.mark.usefixtures("searches_short")
 VIDEO = ("--motion", "video", "--level", "easy", "--no-images")
 ONE = (*VIDEO, "--frames", 32, "--seed", 5, "--lag", "2frames")
 STEERED = (*VIDEO, "--frames", 20, "--seed", 7, "--ecm")
-PAIR = (*VIDEO, "--frames", 8, "--seed", 3, "--arms", 2, "--stereo")
+PAIR = (*VIDEO, "--frames", 12, "--seed", 3, "--arms", 2, "--stereo")
 IMAGES = ("--motion", "video", "--level", "easy", "--frames", 12, "--seed", 8)
 POSTURES = ("--level", "easy", "--frames", 14, "--seed", 5)
 PLAIN = ("--no-video", "--no-page")
@@ -176,7 +176,7 @@ def test_two_arms_are_followed_by_both_eyes(kept: Kept) -> None:
     out = kept("track", session, "--out", OUT, *PLAIN).folder
     for arm in ("PSM1", "PSM2"):
         found = tracks(out / arm)
-        assert len(found) == 8
+        assert len(found) == 12
         assert check(found, truth(session, arm)) < 1.5
     arms = json.loads((out / "arms.json").read_text())
     bases = [matrix(json.loads((session / f"golden_PSM{k}.json").read_text()), "camera_from_base") for k in (1, 2)]
@@ -190,10 +190,10 @@ def test_base_of_an_arm_is_exported(kept: Kept) -> None:
 
 
 def test_one_arm_can_be_chosen(kept: Kept, tmp_path: Path, quick: Path) -> None:
-    words = ("--config", quick, "--only", "PSM2", "--lag", "0", "--every", "5", "--workers", 1, *PLAIN)
+    words = ("--config", quick, "--only", "PSM2", "--lag", "0", "--every", "10", "--workers", 1, *PLAIN)
     assert run("track", synth(kept, *PAIR), "--out", tmp_path / "out", *words).code in (0, 3)
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["PSM2", "run.json"]
-    assert list(tracks(tmp_path / "out" / "PSM2")) == ["0000", "0005"]
+    assert list(tracks(tmp_path / "out" / "PSM2")) == ["0000", "0010"]
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,6 @@ from helpers.moving_worlds import MovingWorld, drawn, moving_world
 
 from dvrk_cmaes import Result, Rig, Tracker, TrackResult, estimate
 
-pytestmark = pytest.mark.usefixtures("searches_short")
-
 FRAMES = 20
 
 

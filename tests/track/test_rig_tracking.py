@@ -12,8 +12,6 @@ from helpers.transforms import transform
 
 from dvrk_cmaes import Camera, InputError, Result, Rig, Tracker, TrackResult, estimate
 
-pytestmark = pytest.mark.usefixtures("searches_short")
-
 FRAMES = 24
 RIGHT = Camera(400, 300, 620, 640, 190, 152)
 RIGHT_FROM_LEFT = transform(np.eye(3), [-0.0053, 0.0002, 0.0])

@@ -15,8 +15,6 @@ from helpers.transforms import moved
 
 from dvrk_cmaes import EstimateConfig, InputError, Result, Tracker, TrackResult, estimate
 
-pytestmark = pytest.mark.usefixtures("searches_short")
-
 
 @pytest.fixture(scope="module")
 def world() -> MovingWorld:
