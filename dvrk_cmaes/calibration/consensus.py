@@ -107,6 +107,12 @@ def find_consensus(
     return hypotheses.consensus(candidates[best], np.arange(len(modes)))
 
 
+def agreement(model: SessionModel, modes: Sequence[Sequence[Mode]], calibration: Calibration) -> Consensus:
+    """Return what N frames say of a calibration, whose errors are not counted; arguments as in `find_consensus`."""
+    known = _Hypotheses(model, modes, float(calibration.offsets[1]))
+    return known.against(calibration, np.arange(len(modes)))
+
+
 def find_consensus_at_any_roll(model: SessionModel, modes: Sequence[Sequence[Mode]]) -> Consensus:
     """Find the calibration on which most frames agree, at the usual offset of roll or at any.
 
@@ -237,6 +243,12 @@ class _Hypotheses:
                 covariance[:, :6, :6] += moves @ np.swapaxes(moves, 1, 2)
         changes = self._at[test_frames].minus(_for_each_mode(expected))
         return self._judged(predicted, changes, test_frames)
+
+    def against(self, calibration: Calibration, test_frames: Indices) -> Consensus:
+        """Test a calibration that is known on test frames (V,)."""
+        expected = self._model.predict(self._model.calibration(calibration.camera_from_base, calibration.offsets))
+        changes = self._at[test_frames].minus(_for_each_mode(expected)[test_frames])
+        return Consensus(calibration, *self._judged(self._of_readings[test_frames], changes, test_frames))
 
     def _judged(self, predicted: Float64, changes: Float64, test_frames: Indices) -> tuple[Float64, Float64]:
         """Judge calibrations by the changes (..., V, M, D) of modes from what they predict.

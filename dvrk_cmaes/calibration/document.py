@@ -12,7 +12,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.blocks import BASE_AXES, OBSERVABLE, OUTER_OFFSETS, Calibration, FoundBlock
 from dvrk_cmaes.calibration.cables import SessionCables
-from dvrk_cmaes.calibration.endoscope import Steered
+from dvrk_cmaes.calibration.endoscope import InFrames
 from dvrk_cmaes.calibration.lag import LagCurve
 from dvrk_cmaes.calibration.model import (
     Correction,
@@ -267,7 +267,9 @@ class SessionCalibration:
             found.masks.check(where, len(found.whole_covariance))
         return found
 
-    def at(self, readings: Mapping[str, float]) -> SessionCalibration | str:
+    def at(
+        self, readings: Mapping[str, float], *, frame: str = "", time: float | None = None
+    ) -> SessionCalibration | str:
         """Return the calibration of a camera that stands still where the endoscope is in a frame.
 
         That is the calibration itself, unless the endoscope moved. Returns a text that says why the place is not known.
@@ -276,13 +278,17 @@ class SessionCalibration:
         ----------
         readings
             All readings of the frame by joint name, rad and m; those of the endoscope's arm show the place.
+        frame
+            Name of the frame, which shows the place of an endoscope that is not read where no times are known.
+        time
+            Time of the frame's image, s, by which that place is found.
         """
         if self.endoscope is None:
             return self
-        endoscope = self.endoscope.in_frames(ecm_readings([readings]))
-        if isinstance(endoscope, str):
-            return endoscope
-        values = endoscope.start
+        found = self.endoscope.in_frames(self.camera_from_base, ecm_readings([readings]), [time], [frame])
+        if isinstance(found, str):
+            return found
+        endoscope, values = found
         count, covariance = len(self.axes), self.endoscope.covariance
         move = np.zeros((count, len(covariance)))
         move[:, :count] = np.eye(count)
@@ -305,7 +311,7 @@ class SessionCalibration:
         return self.covariance_given_camera if self.endoscope is None else self.endoscope.covariance
 
     def model(
-        self, outer: Float64, joints: Float64, joint_names: tuple[str, ...], endoscope: Steered | None = None
+        self, outer: Float64, joints: Float64, joint_names: tuple[str, ...], endoscope: InFrames | None = None
     ) -> tuple[SessionModel, Calibration]:
         """Return the session model for readings (N, 4) and (N, J) of other frames, and the calibration.
 
@@ -344,9 +350,10 @@ class SessionCalibration:
             roll_offset=self.roll_offset,
             inflation=self._elsewhere(joints, joint_names, np.array(values[4:-2])),
             correction=correction,
-            endoscope=endoscope,
+            endoscope=None if endoscope is None else endoscope[0],
         )
-        return model, model.calibration(self.camera_from_base, offsets)
+        found = model.calibration(self.camera_from_base, offsets)
+        return model, found if endoscope is None else found.with_blocks(endoscope=endoscope[1])
 
     def _elsewhere(self, joints: Float64, joint_names: Sequence[str], std: Float64) -> Float64:
         """Return the factors (N, 1 + J) on the standard deviations ``std`` (J,), rad, of roll and joints (N, J).

@@ -1,16 +1,18 @@
-"""An endoscope whose arm (ECM) is read while it moves: how each frame's camera_from_base follows from one of them.
+"""An endoscope that moves during a session: how each frame's camera_from_base follows from one of them.
 
 ``relative`` (N, 4, 4) is the pose of the reference camera in the camera of each frame, so that a frame's
-camera_from_base is ``relative @ camera_from_base``. It is a function of M unknowns, which all frames share: the camera
-in the endoscope's tip, the offsets of the ECM's joints, and the errors of its readings at each place where it stands.
+camera_from_base is ``relative @ camera_from_base``. It is a function of M unknowns, which all frames share: with
+readings of the endoscope's arm (ECM), of the camera in the endoscope's tip, the offsets of the ECM's joints, and the
+errors of its readings at each place where it stands; without readings, of the place of each piece of the session.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +21,7 @@ from dvrk_cmaes.calibration.blocks import ENDOSCOPE, Calibration, PredictedBlock
 from dvrk_cmaes.geometry import adjoint, change_between, exp_rotation, inverse, moved, rotation_about_z, transform
 from dvrk_cmaes.instrument.endoscope import STRAIGHT, ecm_from_tip_and_jacobian
 from dvrk_cmaes.joints.names import ECM_JOINTS
+from dvrk_cmaes.pose.refine.elimination import times
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.model import SessionModel
@@ -35,6 +38,7 @@ PLACE_STD: Final = np.sqrt(2) * np.array([np.deg2rad(0.3), np.deg2rad(0.3), 0.00
 HAND_EYE_STD: Final = np.array([0.005, 0.005, 0.010, np.deg2rad(4.0), np.deg2rad(4.0), np.deg2rad(30.0)])
 """Those of the camera in the endoscope's tip, along and about the tip's axes, m, rad; the last is a turn about it."""
 
+_PIECE_STD: Final = np.array([0.1, 0.1, 0.1, 1.0, 1.0, 1.0])  # of a piece's camera against the reference, m, rad
 _TILTS: Final = np.deg2rad([0.0, 30.0, -30.0])  # of cameras that look straight, down and up
 _TURNS: Final = np.deg2rad(np.arange(-150.0, 181.0, 30.0))
 _NOISE: Final = np.array([np.deg2rad(0.02), np.deg2rad(0.02), 3e-5, np.deg2rad(0.02)])  # least, from frame to frame
@@ -45,41 +49,92 @@ _STANDS: Final = 3  # frames, from which on a place is one where the endoscope s
 
 @dataclass(frozen=True, eq=False)
 class EndoscopeValues:
-    """Values of the M unknowns, in the order of a step.
+    """Values of the M unknowns: first ``poses`` (Q, 4, 4), m, then ``numbers``.
 
-    ``tip_from_camera`` (4, 4), m, is the camera in the endoscope's tip, ``offsets`` (4,) are those of the ECM's joints,
-    and ``errors`` (P, 4) what is added to its readings at P places but the reference: true = reading + offset + error,
-    rad and m. ``expected`` (4, 4) is the camera in the tip beforehand.
+    Of an endoscope whose arm is read, the only pose is the camera in its tip. The numbers are the offsets of the ECM's
+    joints (4,), then what is added to its readings at P places but the reference (P, 4): true = reading + offset +
+    error, rad and m. Of one that is not read, the poses are the reference camera in that of each other piece.
+    ``expected`` (Q, 4, 4) are the poses beforehand, ``std`` (M,) the standard deviations of all.
     """
 
-    tip_from_camera: Float64
+    poses: Float64
     expected: Float64
-    offsets: Float64
-    errors: Float64
+    numbers: Float64
+    std: Float64
 
-    @property
-    def std(self) -> Float64:
-        """Standard deviations (M,) beforehand."""
-        return np.concatenate([HAND_EYE_STD, OFFSET_STD, np.tile(PLACE_STD, len(self.errors))])
+    @classmethod
+    def read(cls, tip_from_camera: Float64, expected: Float64, offsets: Float64, errors: Float64) -> EndoscopeValues:
+        """Return the values of an endoscope whose arm is read: (4, 4), (4, 4), (4,) and (P, 4)."""
+        std = np.concatenate([HAND_EYE_STD, OFFSET_STD, np.tile(PLACE_STD, len(errors))])
+        return cls(tip_from_camera[None], expected[None], np.concatenate([offsets, errors.ravel()]), std)
+
+    @classmethod
+    def of_pieces(cls, cameras: Float64) -> EndoscopeValues:
+        """Return the values of an endoscope that is not read, with the reference camera in pieces (P, 4, 4)."""
+        return cls(cameras, cameras, np.zeros(0), np.tile(_PIECE_STD, len(cameras)))
 
     @property
     def information(self) -> Float64:
         """Information matrix (M, M) beforehand. The errors at all places have that of the reference in them."""
-        information, places = np.diag(self.std**-2.0), len(self.errors)
-        alike = 2 * (np.eye(places) - 1 / (places + 1))  # the inverse of (1 + identity) / 2
-        information[10:, 10:] = np.kron(alike, np.diag(PLACE_STD**-2.0))
+        information, places = np.diag(self.std**-2.0), len(self.errors) if len(self.numbers) else 0
+        if places:
+            alike = 2 * (np.eye(places) - 1 / (places + 1))  # the inverse of (1 + identity) / 2
+            information[10:, 10:] = np.kron(alike, np.diag(PLACE_STD**-2.0))
         return information
 
     @property
+    def tip_from_camera(self) -> Float64:
+        """The camera (4, 4) in the tip of an endoscope whose arm is read, m."""
+        return np.asarray(self.poses[0])
+
+    @property
+    def offsets(self) -> Float64:
+        """The offsets (4,) of the ECM's joints, rad and m."""
+        return self.numbers[:4]
+
+    @property
+    def errors(self) -> Float64:
+        """What is added to the readings (P, 4) at P places but the reference, rad and m."""
+        return self.numbers[4:].reshape(-1, 4)
+
+    @property
     def deviation(self) -> Float64:
-        """Differences (M,) from what is expected beforehand, of the camera along and about the axes of the tip."""
-        turns = in_tip(self.expected) @ change_between(self.expected, self.tip_from_camera)
-        return np.concatenate([turns, self.offsets, self.errors.ravel()])
+        """Differences (M,) from what is expected beforehand, of poses along and about the axes that they are in."""
+        turns = times(in_tip(self.expected), change_between(self.expected, self.poses))
+        return np.concatenate([turns.ravel(), self.numbers])
 
     def changed(self, step: Float64) -> EndoscopeValues:
         """Return the values after a step (M,)."""
-        turned = moved(self.tip_from_camera, in_tip(self.tip_from_camera).T @ step[:6])
-        return EndoscopeValues(turned, self.expected, self.offsets + step[6:10], self.errors + step[10:].reshape(-1, 4))
+        count = 6 * len(self.poses)
+        turned = moved(self.poses, times(in_tip(self.poses).swapaxes(1, 2), step[:count].reshape(-1, 6)))
+        return replace(self, poses=turned, numbers=self.numbers + step[count:])
+
+
+@dataclass(frozen=True, eq=False)
+class _Moving(ABC):
+    """Where the endoscope is in each of N frames, as a function of the values of M unknowns.
+
+    ``start`` are the values from which an estimation starts, ``loose`` (M,) their standard deviations. ``shared`` is
+    whether the arms of a session have it in common.
+    """
+
+    start: EndoscopeValues
+    loose: Float64
+    shared: bool = field(default=False, kw_only=True)
+
+    def with_start(self, start: EndoscopeValues, loose: Float64, *, shared: bool = False) -> Self:
+        """Return the endoscope with other values from which estimations start."""
+        return replace(self, start=start, loose=loose, shared=shared)
+
+    @property
+    def block(self) -> EndoscopeBlock:
+        """The block of the M unknowns."""
+        return EndoscopeBlock(self.start, self.axes, shared=self.shared)
+
+    @property
+    @abstractmethod
+    def axes(self) -> tuple[str, ...]:
+        """Names of the M unknowns."""
 
 
 class EndoscopeBlock(PredictedBlock):
@@ -121,25 +176,15 @@ class Place:
 
 
 @dataclass(frozen=True, eq=False)
-class Steered:
+class Steered(_Moving):
     """An endoscope whose arm is read, in N frames.
 
-    ``start`` are the values from which an estimation starts, ``loose`` (M,) their standard deviations. ``read`` (N, 4)
-    are the readings, rad and m, ``places`` where it stands, the first of which is the reference. While it is moved, its
-    readings have the error of the nearest place, and one of their own (`loadings`). ``shared`` is whether the arms of
-    a session have it in common.
+    ``read`` (N, 4) are the readings, rad and m, ``places`` where it stands, the first of which is the reference. While
+    it is moved, its readings have the error of the nearest place, and one of their own (`loadings`).
     """
 
-    start: EndoscopeValues
-    loose: Float64
     read: Float64
     places: tuple[Place, ...]
-    shared: bool = False
-
-    @property
-    def block(self) -> EndoscopeBlock:
-        """The block of the M unknowns."""
-        return EndoscopeBlock(self.start, self.axes, shared=self.shared)
 
     @classmethod
     def of(cls, read: Float64, places: Sequence[Place] = ()) -> Steered | None:
@@ -157,7 +202,7 @@ class Steered:
             away = (np.abs(read - places[0].readings) > np.maximum(places[0].within, _NOISE)).any(axis=1)
             if np.convolve(away, np.ones(_STANDS), "valid").max(initial=0.0) != _STANDS:  # single ones are noise
                 return None
-        start = EndoscopeValues(STRAIGHT, STRAIGHT, np.zeros(4), np.zeros((len(places) - 1, 4)))
+        start = EndoscopeValues.read(STRAIGHT, STRAIGHT, np.zeros(4), np.zeros((len(places) - 1, 4)))
         return cls(start, start.std, read, places)
 
     @cached_property
@@ -173,7 +218,7 @@ class Steered:
 
     def at(self, read: Float64) -> Steered:
         """Return the endoscope with other readings (N, 4) of the frames; a frame without has those of its neighbour."""
-        return replace(self, read=filled(read))
+        return Steered(self.start, self.loose, filled(read), self.places, shared=self.shared)
 
     def _tips(self, values: EndoscopeValues) -> tuple[Float64, Float64]:
         """Compute the tip (N, 4, 4) in the frame of the ECM in each frame, m, and its Jacobian (N, 6, 4)."""
@@ -248,7 +293,7 @@ class Steered:
             for turn in _TURNS
         ]
         return [
-            replace(self, start=replace(self.start, tip_from_camera=pose, expected=pose), loose=loose) for pose in poses
+            self.with_start(replace(self.start, poses=pose[None], expected=pose[None]), loose.copy()) for pose in poses
         ]
 
     @property
@@ -257,6 +302,56 @@ class Steered:
         hand_eye = tuple(f"tip_from_camera_{name}" for name in ("tx", "ty", "tz", "rx", "ry", "rz"))
         places = (f"{name}_at_{number}" for number in range(1, len(self.places)) for name in ECM_JOINTS)
         return (*hand_eye, *ECM_JOINTS, *places)
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces(_Moving):
+    """An endoscope that is not read, in N frames, each in a ``piece`` (N,) of the session; piece 0 is the reference."""
+
+    piece: Indices
+
+    @classmethod
+    def of(cls, piece: Indices, cameras: Float64) -> Pieces:
+        """Return the endoscope of frames in pieces, with the reference camera in those of the others (P, 4, 4), m."""
+        start = EndoscopeValues.of_pieces(cameras)
+        return cls(start, 0.1 * start.std, piece)
+
+    @property
+    def place(self) -> Indices:
+        """Number (N,) of the place at which the endoscope stands in each frame; -1 while it is moved."""
+        return self.piece
+
+    def relative(self, values: EndoscopeValues) -> Float64:
+        """Compute the reference camera's pose (N, 4, 4) in each frame's camera, m."""
+        return np.concatenate([np.eye(4)[None], values.poses])[self.piece]
+
+    def jacobian(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:
+        """Compute the changes (N, 6, M) of each frame's camera_from_base by the unknowns."""
+        out = np.zeros((len(self.piece), 6, len(values.deviation)))
+        to_base = adjoint(inverse(camera_from_base)) @ in_tip(values.poses).swapaxes(1, 2)
+        for number, of_piece in enumerate(to_base, start=1):
+            out[self.piece == number, :, 6 * number - 6 : 6 * number] = of_piece
+        return out
+
+    def loadings(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:
+        """Compute the changes (N, 6, 4) of camera_from_base by a standard deviation of a frame's own errors."""
+        return np.zeros((len(self.piece), 6, 4))
+
+    def subset(self, index: Sequence[int] | NDArray[np.integer]) -> Pieces:
+        """Return the endoscope in the frames at some indices."""
+        return replace(self, piece=self.piece[index])
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the M unknowns."""
+        count = len(self.start.poses)
+        return tuple(f"piece_{k + 1}_{name}" for k in range(count) for name in ("tx", "ty", "tz", "rx", "ry", "rz"))
+
+
+Endoscope = Steered | Pieces
+"""Where an endoscope that moves is in some frames."""
+InFrames = tuple[Endoscope, EndoscopeValues]
+"""The same, and the values of its unknowns."""
 
 
 def find_places(read: Float64) -> tuple[Place, ...]:
@@ -289,5 +384,7 @@ def filled(read: Float64) -> Float64:
 
 
 def in_tip(tip_from_camera: Float64) -> Float64:
-    """Return the matrix (6, 6) that turns changes along and about the axes of a camera to those of its tip."""
-    return np.asarray(np.kron(np.eye(2), tip_from_camera[:3, :3]), np.float64)
+    """Return the matrices (..., 6, 6) that turn changes along and about the axes of cameras to those of their tips."""
+    out = np.zeros((*tip_from_camera.shape[:-2], 6, 6))
+    out[..., :3, :3] = out[..., 3:, 3:] = tip_from_camera[..., :3, :3]
+    return out

@@ -20,6 +20,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.blocks import Calibration, PredictedBlock
 from dvrk_cmaes.calibration.consensus import Consensus, Mode, choose_modes, find_consensus
+from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, solve
 from dvrk_cmaes.errors import InputError
@@ -272,7 +273,7 @@ class SessionLag:
         """Return a model with the readings of the times of the images less a lag, by a spline if ``smoothed``."""
         read, endoscope = self.read_times(value), model.endoscope
         outer, joints = (self._known.at(names, read, smoothed=smoothed) for names in (OUTER_JOINTS, model.names))
-        if endoscope is not None:
+        if isinstance(endoscope, Steered):
             endoscope = endoscope.at(self._known.at(ECM_JOINTS, read))
         return replace(model, outer=outer, joints=joints, endoscope=endoscope)
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.blocks import BASE, OFFSETS, Base, Calibration, Offsets
-from dvrk_cmaes.calibration.endoscope import Steered
+from dvrk_cmaes.calibration.endoscope import Endoscope
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.geometry import Bool, Float64, Posed, adjoint, inverse
 from dvrk_cmaes.instrument import Instrument
@@ -111,7 +111,7 @@ class SessionModel:
     roll_offset: float = ROLL_OFFSET
     inflation: Float64 = field(default_factory=lambda: np.ones((0, 0)))
     correction: Correction = field(default_factory=lambda: Correction.none(0, 0))
-    endoscope: Steered | None = None
+    endoscope: Endoscope | None = None
     offset_std: Float64 = field(default_factory=lambda: np.zeros(0))
     _last: dict[bytes, tuple[Float64, Float64]] = field(default_factory=dict, init=False)
 
@@ -122,7 +122,7 @@ class SessionModel:
         instrument: Instrument,
         config: EstimateConfig,
         arm: Arm,
-        endoscope: Steered | None = None,
+        endoscope: Endoscope | None = None,
     ) -> SessionModel:
         """Return the model of frames, given the readings of each by joint name, rad and m."""
         names = instrument.joint_names

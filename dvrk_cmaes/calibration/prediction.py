@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.endoscope import Steered
+from dvrk_cmaes.calibration.endoscope import InFrames
 from dvrk_cmaes.calibration.frame_fit import OF_NEW_FRAME, OwnEstimate, fit_frame
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_masks import covariance_of_margin
@@ -40,17 +40,28 @@ keyframes before an image expect; the arm was 0.5 to 1.
 _UNREAD_M, _UNREAD_RAD = 0.01, 0.2  # standard deviations of the arm's motion where its readings are missing or frozen
 
 
-def endoscope_in(calibration: SessionCalibration, ecm: Float64 | None) -> Steered | None:
-    """Return where an endoscope is in N images; None where it stands still, or its arm is not read.
+def endoscope_at(calibration: SessionCalibration, time: float | None, ecm: Float64 | None) -> InFrames | None:
+    """Return where an endoscope is in one image; None where it stands still, or its place is not known.
 
     Parameters
     ----------
     calibration
         The calibration.
-    ecm : (N, 4)
+    time
+        Time of the image, s, by which the place of an endoscope that is not read is found.
+    ecm : (4,)
         Readings of the endoscope's arm, rad and m; None without.
     """
-    found = None if calibration.endoscope is None else calibration.endoscope.in_frames(ecm)
+    return endoscope_in(calibration, [time], [""], None if ecm is None else ecm[None])
+
+
+def endoscope_in(
+    calibration: SessionCalibration, times: Sequence[float | None], names: Sequence[str], ecm: Float64 | None
+) -> InFrames | None:
+    """Return where an endoscope is in N images, as `endoscope_at`; ``ecm`` (N, 4) are readings, None without."""
+    if calibration.endoscope is None:
+        return None
+    found = calibration.endoscope.in_frames(calibration.camera_from_base, ecm, times, names)
     return None if isinstance(found, str) else found
 
 
@@ -87,7 +98,7 @@ class Prediction:
         errors: Float64 | None = None,
         late: Float64 | None = None,
         wrist: float = 1.0,
-        endoscope: Steered | None = None,
+        endoscope: InFrames | None = None,
     ) -> Prediction:
         """Predict N images.
 
@@ -204,6 +215,9 @@ def fit_session_pose(
     readings: Readings,
     given: Mapping[str, float],
     config: EstimateConfig,
+    *,
+    frame: str = "",
+    time: float | None = None,
 ) -> FoundPose | str:
     """Refine the pose that a session's calibration predicts for a frame to fit the frame's mask, or those of its views.
 
@@ -219,6 +233,8 @@ def fit_session_pose(
         All readings of the frame by joint name, rad and m.
     config
         All settings.
+    frame, time
+        Name of the frame and time of its image, s, by which the place of an endoscope that moves is found.
 
     Returns
     -------
@@ -231,7 +247,7 @@ def fit_session_pose(
     InputError
         The session is of an instrument with other joints.
     """
-    placed = session.at(given)
+    placed = session.at(given, frame=frame, time=time)
     if isinstance(placed, str):
         return f"session: {placed}: searched without it"
     session, instrument = placed, views[0].renderer.body.instrument

@@ -12,6 +12,8 @@ from dvrk_cmaes.calibration.blocks import Calibration
 from dvrk_cmaes.calibration.endoscope import (
     OFFSET_STD,
     EndoscopeValues,
+    InFrames,
+    Pieces,
     Place,
     Steered,
     filled,
@@ -20,6 +22,7 @@ from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.geometry import Float64, Indices, inverse, log_rotation
 from dvrk_cmaes.instrument.endoscope import STRAIGHT
 from dvrk_cmaes.io.encode import SIGNIFICANT, Document
+from dvrk_cmaes.io.short_text import natural
 from dvrk_cmaes.io.typed_document import Count, Number, Transform, convert_document, read_variances, refused
 from dvrk_cmaes.joints.names import ECM_JOINTS
 
@@ -59,7 +62,8 @@ class ReadPlace:
 class SessionEndoscope(Document):
     """An endoscope that moved during a session; m, rad, and readings in the order of the ECM's joints.
 
-    bases : where it stood, by time. places : the same by the readings of its arm, the reference first.
+    bases : where it stood, by time. places : the same by the readings of its arm, the reference first; empty where that
+    is not read.
     tip_from_camera : the camera in the endoscope's tip; ecm_from_base : the arm's base in that of the endoscope's arm.
     std_tip_from_camera, std_ecm_from_base : standard deviations along and about the axes of the tip and of the arm's
     base, with what the offsets of the ECM leave open. expected : what the camera in the tip was taken for beforehand.
@@ -68,15 +72,15 @@ class SessionEndoscope(Document):
     endoscope.
     """
 
-    bases: tuple[Stand, ...]
-    places: tuple[ReadPlace, ...]
-    tip_from_camera: Transform
-    ecm_from_base: Transform
-    std_tip_from_camera: Row
-    std_ecm_from_base: Row
-    expected: Transform
-    offsets: dict[str, Number]
-    std_offsets: dict[str, Number]
+    bases: tuple[Stand, ...] = ()
+    places: tuple[ReadPlace, ...] = ()
+    tip_from_camera: Transform | None = None
+    ecm_from_base: Transform | None = None
+    std_tip_from_camera: Row = ()
+    std_ecm_from_base: Row = ()
+    expected: Transform | None = None
+    offsets: dict[str, Number] = field(default_factory=dict)
+    std_offsets: dict[str, Number] = field(default_factory=dict)
     covariance: Float64 = field(default_factory=lambda: np.zeros((0, 0)), metadata=SIGNIFICANT)
 
     @classmethod
@@ -106,6 +110,8 @@ class SessionEndoscope(Document):
         if endoscope is None or values is None:
             return None
         stands = _stands(model.camera_from_base(calibration), endoscope.place, names, times)
+        if not isinstance(endoscope, Steered):
+            return cls(stands, covariance=covariance)
         count = calibration.own - len(values.deviation)
         jacobian = np.zeros((6, len(covariance)))  # of the arm's base in the ECM's
         jacobian[:, :6] = np.eye(6)
@@ -123,7 +129,7 @@ class SessionEndoscope(Document):
             ecm_from_base,
             _row(std[:6]),
             _row(np.sqrt(np.diag(jacobian @ whole @ jacobian.T))),
-            values.expected,
+            values.expected[0],
             dict(zip(ECM_JOINTS, values.offsets.tolist(), strict=True)),
             dict(zip(ECM_JOINTS, std[6:10].tolist(), strict=True)),
             covariance,
@@ -139,52 +145,87 @@ class SessionEndoscope(Document):
             raise refused(where, "", "an object", document)
         matrix = document.get("covariance")
         found = convert_document(where, {name: part for name, part in document.items() if name != "covariance"}, cls)
-        if not found.places:
-            raise refused(where, "places", "one or more", 0)
+        if bool(found.places) != (found.tip_from_camera is not None and found.expected is not None):
+            raise refused(where, "places", "some with tip_from_camera and expected, else none", len(found.places))
         if any(len(row) != 4 for one in found.places for row in (one.readings, one.within, one.error)):
             raise refused(where, "places", "four numbers of each of readings, within and error", "another number")
-        if tuple(found.offsets) != ECM_JOINTS:
+        if found.places and tuple(found.offsets) != ECM_JOINTS:
             raise refused(where, "offsets", f"those of {', '.join(ECM_JOINTS)}", found.offsets)
-        return replace(found, covariance=read_variances(where, "covariance", matrix, known + 6 + 4 * len(found.places)))
+        count = known + (10 + 4 * len(found.places) - 4 if found.places else 6 * found.last_place)
+        covariance = read_variances(where, "covariance", matrix, count)
+        if not found.places and {one.place for one in found.bases} != set(range(found.last_place + 1)):
+            raise refused(where, "bases", "each place from 0 on", [one.place for one in found.bases])
+        return replace(found, covariance=covariance)
+
+    @property
+    def last_place(self) -> int:
+        """Largest number of a place."""
+        return max((one.place for one in self.bases), default=0)
 
     @property
     def undetermined(self) -> list[str]:
         """Descriptions of what the motions do not determine."""
         texts = []
         std = np.array(self.std_tip_from_camera)
-        if std[3:].max() > UNDETERMINED_ROTATION:
+        if len(std) and std[3:].max() > UNDETERMINED_ROTATION:
             axis = "xyz"[int(std[3:].argmax())]
             texts.append(
                 f"camera in the endoscope's tip: rotation about its {axis} axis known to "
                 f"{np.degrees(std[3:].max()):.0f} deg only; moves of the endoscope about different axes would tell it"
             )
-        pairs = zip(ECM_JOINTS, OFFSET_STD.tolist(), strict=True)
-        open_ones = [name for name, before in pairs if self.std_offsets[name] > _BEFORE * before]
-        if open_ones:
+        found = [self.std_offsets.get(name, 0.0) for name in ECM_JOINTS]
+        pairs = zip(ECM_JOINTS, found, OFFSET_STD.tolist(), strict=True)
+        open_ones = [name for name, own, before in pairs if own > _BEFORE * before]
+        if self.places and open_ones:
             texts.append(
                 f"offsets of {', '.join(open_ones)}: as wide as expected beforehand; those of yaw, insertion and roll "
                 "cannot be distinguished from other places of arm and camera"
             )
         return texts
 
-    def in_frames(self, read: Float64 | None) -> Steered | str:
-        """Return the endoscope in N frames, or why it is not known in one of them.
+    def in_frames(
+        self, camera_from_base: Float64, read: Float64 | None, times: Sequence[float | None], names: Sequence[str]
+    ) -> InFrames | str:
+        """Return the endoscope in N frames and the values of its unknowns, or why it is not known in one of them.
 
         Parameters
         ----------
+        camera_from_base : (4, 4)
+            The base in the reference camera, m.
         read : (N, 4)
             Readings of the ECM, NaN without one; None where there are none.
+        times, names
+            Times, s, and names of the frames, by which the place of an endoscope that is not read is found.
         """
-        if read is None or np.isnan(read).all(axis=0).any():
-            return f"no reading of {', '.join(ECM_JOINTS)}"
-        errors = np.array([one.error for one in self.places[1:]]).reshape(-1, 4)
-        offsets = np.array([self.offsets[name] for name in ECM_JOINTS])
-        values = EndoscopeValues(self.tip_from_camera, self.expected, offsets, errors)
-        places = tuple(Place(np.array(one.readings), np.array(one.within)) for one in self.places)
-        return Steered(values, values.std, filled(read), places)
+        if self.places:
+            if read is None or np.isnan(read).all(axis=0).any():
+                return f"no reading of {', '.join(ECM_JOINTS)}"
+            assert self.tip_from_camera is not None
+            assert self.expected is not None
+            errors = np.array([one.error for one in self.places[1:]]).reshape(-1, 4)
+            offsets = np.array([self.offsets[name] for name in ECM_JOINTS])
+            steered = EndoscopeValues.read(self.tip_from_camera, self.expected, offsets, errors)
+            places = tuple(Place(np.array(one.readings), np.array(one.within)) for one in self.places)
+            return Steered(steered, steered.std, filled(read), places), steered
+        of_place = {one.place: one.camera_from_base for one in self.bases}
+        moves = [of_place[k] @ inverse(camera_from_base) for k in range(1, self.last_place + 1)]
+        values = EndoscopeValues.of_pieces(np.array(moves).reshape(-1, 4, 4))
+        piece = [self.place_at(time, name) for time, name in zip(times, names, strict=True)]
+        return Pieces(values, values.std, np.array(piece, np.intp)), values
+
+    def place_at(self, time: float | None, name: str) -> int:
+        """Return the place of the piece nearest to a time, s, or where no times are known, to a frame's name."""
+        if time is not None and all(one.start is not None and one.end is not None for one in self.bases):
+            gaps = [max((one.start or 0.0) - time, time - (one.end or 0.0), 0.0) for one in self.bases]
+            return self.bases[int(np.argmin(gaps))].place
+        before = [one for one in self.bases if natural(one.first) <= natural(name)]
+        return (before[-1] if before else self.bases[0]).place
 
     def in_words(self) -> list[str]:
         """Describe the places, and the camera in the tip with its standard deviations, a line each."""
+        count = self.last_place + 1
+        if self.tip_from_camera is None:
+            return [f"endoscope: it moved, and is not read: {count} places, each with a base of its own"]
         std = np.array(self.std_tip_from_camera)
         turn = np.degrees(log_rotation((inverse(STRAIGHT) @ self.tip_from_camera)[:3, :3]))
         offsets = ", ".join(
@@ -193,7 +234,7 @@ class SessionEndoscope(Document):
             for scale, unit in [(1e3, "mm") if name == "ecm_insertion" else (180 / np.pi, "deg")]
         )
         return [
-            f"endoscope: its arm was read at {len({one.place for one in self.bases})} places where it stood",
+            f"endoscope: its arm was read at {count} places where it stood",
             f"  camera in its tip: {_numbers(1e3 * self.tip_from_camera[:3, 3])} mm, std {_numbers(1e3 * std[:3])}; "
             f"turned by {_numbers(turn)} deg against a straight one, std {_numbers(np.degrees(std[3:]))}",
             f"  offsets of its joints: {offsets}",

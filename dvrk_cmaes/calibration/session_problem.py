@@ -13,16 +13,18 @@ from typing import Any, Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.autocorrelated_errors import CommonErrors
+from dvrk_cmaes.calibration.autocorrelated_errors import CommonErrors, frames_alike
 from dvrk_cmaes.calibration.blocks import Calibration, SeenBlock
 from dvrk_cmaes.calibration.cables import MARGIN, CableFit, estimate_cables
 from dvrk_cmaes.calibration.consensus import (
+    Consensus,
     Mode,
     check_arm,
     check_motion,
     choose_modes,
     find_consensus_at_any_roll,
 )
+from dvrk_cmaes.calibration.endoscope_search import describe_pieces, find_pieces
 from dvrk_cmaes.calibration.frame_fit import FrameFit, first_starts, next_starts
 from dvrk_cmaes.calibration.frame_task import Run, SessionFrame, fit_task, gather_task
 from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, SessionLag
@@ -85,8 +87,8 @@ class ArmSetup:
     ``instrument``, ``arm`` and ``config`` are the instrument, the kinematics of the outer arm and all settings. ``run``
     applies a function to many tasks, ``progress`` is called before each stage with its name and the number of frames.
     ``refine_camera`` is whether the change of the camera that the frames fit is used, ``guessed_camera`` whether the
-    frames' camera is a guess, of which there is no file. ``lag`` is the one that is taken out of the readings, None to
-    look for it.
+    frames' camera is a guess, of which there is no file. ``may_cut`` is whether the session may be cut into pieces
+    between which the base moved. ``lag`` is the one that is taken out of the readings, None to look for it.
     """
 
     series: ReadingSeries | None
@@ -97,6 +99,7 @@ class ArmSetup:
     progress: Callable[[str, int], None] = lambda stage, count: None
     refine_camera: bool = False
     guessed_camera: bool = False
+    may_cut: bool = True
     lag: Lag | None = None
 
 
@@ -228,6 +231,11 @@ class ArmSession:
         misfits = self.solution.misfit / (6 + len(self.model.names))
         return [self._disagreement(fit, misfit) for fit, misfit in zip(self.fits, misfits.tolist(), strict=True)]
 
+    @property
+    def agreeing(self) -> int:
+        """Number of frames that agree with the session."""
+        return self.disagreements.count("")
+
     def _disagreement(self, fit: FrameFit, misfit: float = 0.0) -> str:
         """Say why a fit disagrees, whose squared distance from what is expected, per parameter, is ``misfit``."""
         most = self.setup.config.session.largest_misfit
@@ -283,9 +291,7 @@ def initialised(arm: ArmSession) -> ArmSession:
     check_motion(arm.model)
     if arm.change is not None and (reason := camera_undetermined(arm.model)):
         raise arm.camera_refused(reason)
-    arm = _less_lag(arm)
-    consensus = find_consensus_at_any_roll(arm.model, arm.modes)
-    check_arm(arm.model, arm.modes, consensus)
+    arm, consensus = _on_one_base(_less_lag(arm))
     return replace(arm, found=solve_with_modes(arm.model, arm.modes, consensus.calibration))
 
 
@@ -303,6 +309,21 @@ def _less_lag(arm: ArmSession) -> ArmSession:
             f"expected at least {LEAST_FRAMES}"
         )
     return replace(arm, model=arm.lag.model_at(arm.model, arm.lag.value))
+
+
+def _on_one_base(arm: ArmSession) -> tuple[ArmSession, Consensus]:
+    """Return the consensus of the frames, in pieces if the base moved between them."""
+    consensus = find_consensus_at_any_roll(arm.model, arm.modes)
+    check_arm(arm.model, arm.modes, consensus)
+    if arm.model.endoscope is not None or not arm.setup.may_cut:
+        return arm, consensus
+    alike = float(np.median(frames_alike(arm.times, arm.setup.config.session.alike_seconds)))
+    pieces = find_pieces(arm.model, arm.modes, consensus, alike=alike)
+    if pieces is None:
+        return arm, consensus
+    cut = replace(arm, model=replace(arm.model, endoscope=pieces))
+    cut = cut.noted(remarks=[describe_pieces(pieces, arm.frames)])
+    return cut, find_consensus_at_any_roll(cut.model, cut.modes)
 
 
 def solved(arms: Arms) -> Arms:

@@ -14,7 +14,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.session_problem import ArmSession, checked
-from dvrk_cmaes.calibration.session_start import solve_session
+from dvrk_cmaes.calibration.session_trials import solve_session
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64, adjoint, change_between, inverse, log_rotation
 from dvrk_cmaes.instrument.setup_joints import SETUP
@@ -150,8 +150,12 @@ def relative_bases(calibrations: Mapping[str, SessionCalibration]) -> dict[str, 
     """
     reference, *others = calibrations
     moves = calibrations[reference].endoscope
-    readings = {} if moves is None else dict(zip(ECM_JOINTS, moves.places[0].readings, strict=True))
-    placed = {arm: own.at(readings) for arm, own in calibrations.items()}
+    where: dict[str, Any] = {}
+    if moves is not None and moves.bases:
+        stand = next((one for one in moves.bases if one.place == 0), moves.bases[0])
+        where = {"frame": stand.first, "time": stand.start}
+    readings = {} if moves is None or not moves.places else dict(zip(ECM_JOINTS, moves.places[0].readings, strict=True))
+    placed = {arm: own.at(readings, **where) for arm, own in calibrations.items()}
     still = {arm: own for arm, own in placed.items() if isinstance(own, SessionCalibration)}
     return {
         arm: RelativeBase.between(still[reference], still[arm], _of_both(calibrations[reference], calibrations[arm]))
@@ -162,7 +166,7 @@ def relative_bases(calibrations: Mapping[str, SessionCalibration]) -> dict[str, 
 
 def _of_both(one: SessionCalibration, other: SessionCalibration) -> Float64:
     """Return the covariance (6, 6) of the bases of two arms by the endoscope that both were solved with, where read."""
-    if one.endoscope is None or other.endoscope is None:
+    if any(own.endoscope is None or not own.endoscope.places for own in (one, other)):
         return np.zeros((6, 6))
     first, second, own, their = one.whole_covariance, other.whole_covariance, len(one.axes), len(other.axes)
     if len(first) - own != len(second) - their:
@@ -218,12 +222,14 @@ def arms_document(
         for arm, base in bases.items()
     }
     document: dict[str, Any] = {"reference": reference, "arms": arms_bases}
-    read = {arm: own.endoscope for arm, own in calibrations.items() if own.endoscope is not None}
+    moves = {arm: own.endoscope for arm, own in calibrations.items() if own.endoscope is not None}
+    read = {arm: own for arm, own in moves.items() if own.places}
     if len(read) < len(calibrations):
         return {**document, "endoscope": None}
     arms = {
         arm: {"ecm_from_base": rounded_array(own.ecm_from_base), "std": rounded_array(np.array(own.std_ecm_from_base))}
         for arm, own in read.items()
+        if own.ecm_from_base is not None
     }
     shared = encoded_fields(read[reference], "tip_from_camera", "std_tip_from_camera", "offsets", "std_offsets")
     return {**document, "endoscope": {**shared, "arms": arms}}

@@ -175,7 +175,7 @@ def estimate_views(
     if session is not None and shown[0] is reference:
         from dvrk_cmaes.calibration.prediction import fit_session_pose
 
-        predicted = fit_session_pose(session, views, readings, given, settings)
+        predicted = fit_session_pose(session, views, readings, given, settings, frame=frame, time=time)
     source: Source
     if session is not None and isinstance(predicted, FoundPose):
         found, source, arm = predicted, "session", session.arm

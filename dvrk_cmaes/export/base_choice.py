@@ -118,10 +118,14 @@ def base_of_session(where: str, document: Mapping[str, Any], others: Mapping[str
     session = convert_document(where, document, _SessionBase)
     frames = session.frames or ()
     origin, moves = f"the session calibration {where} of {len(frames)} frames", session.endoscope or _Endoscope()
+    warnings: tuple[str, ...] = ()
+    if session.endoscope is not None and moves.ecm_from_base is None:
+        warnings = ("the base moved during the session: this one is that of a part of it (endoscope.bases)",)
     return ChosenBase(
         session.camera_from_base,
         origin,
         frames,
+        warnings=warnings,
         tip_from_camera=moves.tip_from_camera,
         ecm_from_base=moves.ecm_from_base,
         others=others,

@@ -83,7 +83,8 @@ def calibration_tables(found: SessionCalibration) -> Iterator[Table]:
             ("camera in the endoscope's tip", moves.tip_from_camera, moves.std_tip_from_camera),
             ("arm's base in that of the endoscope's arm", moves.ecm_from_base, moves.std_ecm_from_base),
         ):
-            rows += _pose(name, pose, np.array(stds), "its own axes")
+            if pose is not None:
+                rows += _pose(name, pose, np.array(stds), "its own axes")
     yield Table(("arm's base in the camera", "x", "y", "z"), rows)
     offsets, std = [], np.sqrt(np.diag(found.covariance))[6:]
     for (name, offset), of_offset in zip(found.offsets.items(), std.tolist(), strict=True):

@@ -123,7 +123,8 @@ def predict(
     has_outer = np.asarray(~np.isnan(outer).any(axis=1))
     endoscope = None
     if session.endoscope is not None:
-        found = session.endoscope.in_frames(ecm_readings(readings))
+        read, times = ecm_readings(readings), [own.time for own in recorded.files]
+        found = session.endoscope.in_frames(session.camera_from_base, read, times, [own.name for own in recorded.files])
         if isinstance(found, str):
             raise InputError(f"recording: {found}: expected the readings by which the calibration places the endoscope")
         endoscope = found

@@ -166,7 +166,8 @@ class KeyframeProblem:
         _, std = lag_and_std(calibration, self.config.track.lag_std)
         outer, joints = np.split(values, [len(OUTER_JOINTS)], axis=1)
         read = ecm_readings([one.readings for one in self.keyframes])
-        endoscope = endoscope_in(calibration, read)
+        moments = [one.time for one in self.keyframes], [one.name for one in self.keyframes]
+        endoscope = endoscope_in(calibration, *moments, read)
         of_all = calibration, outer, joints, instrument.joint_names
         known = Prediction.of(*of_all, endoscope=endoscope)
         late = Prediction.of(*of_all, late=std * np.nan_to_num(rates), endoscope=endoscope)

@@ -29,6 +29,7 @@ from dvrk_cmaes.calibration.together import (
     solved_together,
 )
 from dvrk_cmaes.config import SessionConfig
+from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.moving_arm import MOTION_LEVELS
 from dvrk_cmaes.synth.recording import RecordedArm, record_arm
@@ -53,13 +54,19 @@ def world(bundled_body: Body) -> tuple[RecordedArm, list[SessionFrame]]:
     return arm, frames
 
 
+def without_ecm(frame: SessionFrame) -> SessionFrame:
+    """Return a frame without the readings of the endoscope's arm."""
+    read = {name: value for name, value in frame.result.readings.items() if name not in ECM_JOINTS}
+    return with_result(frame, readings=read)
+
+
 def base_errors(solved: SolvedSession, arm: RecordedArm, frames: list[SessionFrame]) -> np.ndarray:
     """Return the errors of the base in each frame, mm, at the instrument's root, that the calibration states."""
     assert arm.steering is not None
     bases = arm.steering.camera_from_first @ arm.base
     out = []
     for frame in frames:
-        there = solved.calibration.at(frame.result.readings)
+        there = solved.calibration.at(frame.result.readings, frame=frame.name, time=frame.time)
         assert isinstance(there, SessionCalibration)
         off = change_between(there.camera_from_base, bases[int(frame.name)])
         out.append(np.abs(off) / np.sqrt(np.diag(there.covariance)[:6]))
@@ -140,3 +147,28 @@ def test_an_arm_with_another_camera_in_the_tip_keeps_its_own(
     assert second is not None
     assert first.tip_from_camera is not None
     assert any("another camera in the endoscope's tip" in text for text in both["PSM2"].calibration.remarks)
+
+
+def test_without_readings_each_piece_has_its_base(
+    bundled_body: Body, world: tuple[RecordedArm, list[SessionFrame]]
+) -> None:
+    arm, frames = world
+    without = [without_ecm(frame) for frame in frames]
+    solved = calibrate_session(without, bundled_body, config=QUICK)
+    # an arm whose frames tell the same moves makes the bases better known
+    both = solved_together(
+        {name: lambda: begin_arm(without, setup_of(bundled_body)).then(lambda found: found[0]) for name in ("1", "2")}
+    )
+    std, std_of_both = (
+        np.sqrt(np.diag(one.calibration.endoscope.covariance))[-18:]
+        for one in (solved, both["1"])
+        if one.calibration.endoscope is not None
+    )
+    assert np.mean(std_of_both / std) < 0.95
+    found = solved.calibration.endoscope
+    assert found is not None
+    assert found.tip_from_camera is None
+    assert len(found.bases) == 4
+    assert any("moved between frames" in text for text in solved.calibration.remarks)
+    errors = base_errors(solved, arm, without)
+    assert np.median(errors) < 1.5

@@ -1,16 +1,20 @@
-"""The start of a session: its endoscope and its lag by the frames' own modes; then all is solved."""
+"""The start of a session: its lag, its endoscope and its pieces by the frames' own modes; then all are solved.
+
+A session whose base seems to have moved is also solved in one piece, and stays cut where that explains more frames.
+"""
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.blocks import ENDOSCOPE
-from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Consensus, Mode, evenly_spaced, find_consensus
-from dvrk_cmaes.calibration.endoscope import Steered
+from dvrk_cmaes.calibration.consensus import INLIER_MISFIT
+from dvrk_cmaes.calibration.endoscope import Pieces, Steered
+from dvrk_cmaes.calibration.endoscope_search import LEAST_PIECE, find_hand_eye
 from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.lag import in_common
 from dvrk_cmaes.calibration.model import SessionModel, ecm_readings, outer_readings
@@ -21,13 +25,10 @@ from dvrk_cmaes.calibration.session_problem import (
     initialised,
     solved,
 )
-from dvrk_cmaes.calibration.solve import solve_with_modes
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64, Posed
 
-_HYPOTHESIS_FRAMES, _TEST_FRAMES = 10, 60  # of each consensus of the search for the camera in the tip
-_TRIED: Final = 4  # cameras in the tip by which the frames agree best, that are refined
-_FOUND: Final = 0.3  # of the deviations beforehand: those of a refined camera in the tip
+_MOVED_SHARE = 0.1  # of the frames, that agree only if the session is cut where its base moved
 _AGREE: Final = 4.0  # standard deviations of each unknown, within which arms find the same endoscope
 _OTHER_TIP: Final = (
     "the arms tell another camera in the endoscope's tip: each has its own; one arm's readings may be wrong"
@@ -36,13 +37,28 @@ _HAND_EYE: Final = 10  # unknowns that do not differ from place to place
 
 
 def solve_session(arms: Arms) -> Arms:
-    """Solve the arms of a session in one problem, at the lag that their frames' own modes determine.
+    """Solve the arms of a session in one problem; one that is cut where the base moved is also solved in one piece.
+
+    Frames near each other in time, whose masks err alike, agree with each other whatever they show. So a session stays
+    cut only if that explains clearly more frames.
 
     Raises
     ------
     InputError
         As `session_problem.initialised` and `solved`.
     """
+    session = _solved(arms)
+    if any(isinstance(arm.model.endoscope, Pieces) for arm in session):
+        with contextlib.suppress(InputError):
+            whole = _solved([replace(arm, setup=replace(arm.setup, may_cut=False)) for arm in arms])
+            gain = sum(one.agreeing - other.agreeing for one, other in zip(session, whole, strict=True))
+            if gain < max(LEAST_PIECE, _MOVED_SHARE * sum(len(arm.frames) for arm in session)):
+                session = whole
+    return session
+
+
+def _solved(arms: Arms) -> Arms:
+    """Solve a session at the lag that its frames' own modes determine."""
     first, *others = [initialised(arm) for arm in started(arms)]
     return solved(_with_common_endoscope(first, others))
 
@@ -51,7 +67,8 @@ def started(arms: Arms) -> Arms:
     """Find the endoscope, and the lag by the modes of the frames."""
     found = list[ArmSession]()
     for arm in arms:
-        arm = _with_readings(arm, found[0].model.endoscope if found else None)
+        first = found[0].model.endoscope if found else None
+        arm = _with_readings(arm, first if isinstance(first, Steered) else None)
         found.append(replace(arm, lag=arm.lag.searched(arm.model, arm.modes)))
     common = in_common([arm.lag for arm in found])
     return [replace(arm, lag=lag) for arm, lag in zip(found, common, strict=True)]
@@ -70,53 +87,25 @@ def _with_readings(arm: ArmSession, first: Steered | None) -> ArmSession:
     return replace(arm, model=replace(arm.model, endoscope=find_hand_eye(arm.model, arm.modes, steered)))
 
 
-def find_hand_eye(model: SessionModel, modes: Sequence[Sequence[Mode]], steered: Steered) -> Steered:
-    """Find the camera in the endoscope's tip by which the frames' modes agree best, at any turn about the axis.
-
-    Parameters
-    ----------
-    model, modes
-        As in `find_consensus`.
-    steered
-        The endoscope in all frames, whose camera is not known yet.
-    """
-    few = evenly_spaced(len(modes), _TEST_FRAMES)
-    modes = [modes[i] for i in few]
-    model = replace(model, endoscope=steered).subset(few)
-    tried: list[tuple[float, Steered, Consensus]] = []
-    for offered in steered.hand_eyes():
-        of_few = replace(model, endoscope=offered.subset(few))
-        consensus = find_consensus(of_few, modes, hypothesis_frames=_HYPOTHESIS_FRAMES)
-        tried.append((consensus.mean_misfit, offered, consensus))
-    refined: list[tuple[float, Steered]] = []
-    for _, offered, consensus in sorted(tried, key=lambda one: one[0])[:_TRIED]:
-        of_few = replace(model, endoscope=offered.subset(few))
-        solution = solve_with_modes(of_few, modes, consensus.calibration)
-        values = solution.calibration.endoscope
-        assert values is not None
-        there = replace(offered, start=values, loose=_FOUND * offered.loose)
-        of_few = replace(model, endoscope=there.subset(few))
-        again = find_consensus(of_few, modes, hypothesis_frames=_HYPOTHESIS_FRAMES)
-        refined.append((float(again.cost.mean()), there))
-    return min(refined, key=lambda one: one[0])[1]
-
-
 def _with_common_endoscope(first: ArmSession, others: Arms) -> Arms:
-    """Return arms of which those that find the endoscope of the first one share it."""
+    """Return arms of which those that find the endoscope of the first one share it.
+
+    Of one that is not read, these are the moves of the camera between pieces, where the arms have the same pieces.
+    """
     endoscope, own = first.model.endoscope, first.solution.calibration.endoscope
     if endoscope is None or own is None or not others:
         return [first, *others]
     first = _with_shared_endoscope(first, first)
     out = [first]
     for other in others:
-        theirs = other.solution.calibration.endoscope
-        if theirs is None or len(theirs.errors) != len(own.errors):
+        theirs, read = other.solution.calibration.endoscope, isinstance(endoscope, Steered)
+        if theirs is None or (len(theirs.poses), len(theirs.numbers)) != (len(own.poses), len(own.numbers)):
             out.append(other)
             continue
         apart = np.abs(own.deviation - replace(theirs, expected=own.expected).deviation)
         spread = np.sqrt(np.diag(_of_endoscope(first) + _of_endoscope(other)))
-        agree = not (apart > _AGREE * spread)[:_HAND_EYE].any()
-        if not agree:
+        agree = not (apart > _AGREE * spread)[: _HAND_EYE if read else None].any()
+        if not agree and read:
             other = other.noted(remarks=[_OTHER_TIP])
         out.append(_with_shared_endoscope(other, first) if agree else other)
     return out
@@ -127,17 +116,16 @@ def _with_shared_endoscope(arm: ArmSession, first: ArmSession) -> ArmSession:
     endoscope, known = arm.model.endoscope, first.model.endoscope
     assert endoscope is not None
     assert known is not None
-    endoscope = replace(endoscope, start=known.start, loose=known.loose, shared=True)
+    model = replace(arm.model, endoscope=endoscope.with_start(known.start, known.loose, shared=True))
+    assert model.endoscope is not None
     values = first.solution.calibration.endoscope
-    calibration = arm.solution.calibration.with_blocks(endoscope.block, endoscope=values)
-    return replace(
-        arm, model=replace(arm.model, endoscope=endoscope), found=replace(arm.solution, calibration=calibration)
-    )
+    calibration = arm.solution.calibration.with_blocks(model.endoscope.block, endoscope=values)
+    return replace(arm, model=model, found=replace(arm.solution, calibration=calibration))
 
 
 def _of_endoscope(arm: ArmSession) -> Float64:
     """Return the covariance (M, M) of the endoscope's values that the frames of an arm show."""
-    place = arm.solution.calibration.place(ENDOSCOPE)
+    place = arm.solution.calibration.place("endoscope")
     return arm.solution.covariance[place, place]
 
 
@@ -181,7 +169,9 @@ def predict_from_first(
     if not names:
         return {}
     endoscope = arm.model.endoscope
-    if endoscope is not None:
+    if isinstance(endoscope, Pieces):
+        return {}  # in which piece the others are is not known yet
+    if isinstance(endoscope, Steered):
         endoscope = endoscope.at(ecm_readings([readings[name] for name in names]))
     read = [readings[name] for name in names]
     model = SessionModel.of(read, setup.instrument, setup.config, setup.arm, endoscope)
