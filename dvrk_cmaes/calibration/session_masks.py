@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.special import softmax
 
 from dvrk_cmaes.calibration.blocks import Calibration, OutlineOfView, SeenBlock, ViewAsSeen
 from dvrk_cmaes.calibration.linearise import ArmOutlines, Linearised, linearise
@@ -23,9 +24,9 @@ from dvrk_cmaes.pose.terms.coverage import of_margin
 MARGIN: Final = "margin"
 """Name of the block."""
 
-_STD = 1.0  # px beforehand
-_CLEAR = 2.5  # standard deviations from zero, and ...
-_LEAST_MARGIN = 0.15  # ... px, beyond which a margin is taken off the masks
+_STD, _WIDE_SHARE = 1.0, 0.2  # px beforehand, of a share of the segmenters
+_USUAL_STD = 0.05  # px beforehand in images 640 px wide, of the others; recordings of `fleet.py make` show no more
+_FREE = 100.0  # px, of a prior that does not count
 _LEAST_STD = 0.12  # px; margins of parts of one real recording, 0.57 to 1.11, scatter by this beside their errors
 _PASSES = 5  # largest number of linearisations
 _HELD = 1e-3  # of the prior standard deviations of a camera that is held at its file
@@ -102,12 +103,8 @@ class SessionMasks(Document):
 
     @property
     def square(self) -> float:
-        """Mean square, px^2, of the margin that is left on masks of this session.
-
-        A margin that is left because it is not clear counts as one more standard deviation, at most.
-        """
-        left = min(abs(self.margin_px - self.taken_off), self.std_margin_px)
-        return self.std_margin_px**2 + left**2
+        """Mean square, px^2, of the margin that is left on masks of this session."""
+        return self.std_margin_px**2 + (self.margin_px - self.taken_off) ** 2
 
     @property
     def taken_off(self) -> float:
@@ -151,15 +148,30 @@ def estimate_margin(arms: Sequence[ArmOutlines]) -> tuple[SessionMasks, list[tup
     change of the camera that is estimated beside the margin is not used.
     """
     there, moved = linearise(arms, solve_unchanged, [MARGIN], passes=_PASSES), []
-    px = there[0].value(MARGIN).item()
-    (std,) = (float(there[0].std(one)[0]) for one in arms[0].outlines.blocks if one.name == MARGIN)
+    place, camera = there[0].solution.calibration.place(MARGIN), arms[0].outlines.camera
+    shown, spread = there[0].with_std({MARGIN: _FREE})
+    alone, square = shown[place].item(), spread[place, place].item() + _LEAST_STD**2
+    px, std = _posterior(alone, square, _USUAL_STD * camera.pixel_scale)
     for one, arm in zip(there, arms, strict=True):
         held = {block.name: _HELD * block.std for block in arm.outlines.blocks if block.name != MARGIN}
         at_file = one.solution.calibration
         at_file = at_file.changed(one.with_std(held)[0] - np.append(np.zeros(at_file.own), at_file.further))
-        own = marginalise(one.model, one.fits, at_file).own
-        moved.append((at_file.alone(), one.fits.at.moved(own)))
-    return SessionMasks(px, std, applied=abs(px) > max(_CLEAR * std, _LEAST_MARGIN)), moved
+        poses = marginalise(one.model, one.fits, at_file).own
+        moved.append((at_file.alone(), one.fits.at.moved(poses)))
+    return SessionMasks(px, std, applied=True), moved
+
+
+def _posterior(alone: float, square: float, usual: float) -> tuple[float, float]:
+    """Return mean and standard deviation, px, of a margin that frames alone estimate with a mean square error, px^2.
+
+    The prior is a mixture of two normal distributions about zero, as some segmenters' margins are far wider than those
+    of most: of ``usual`` px in most sessions.
+    """
+    priors, shares = np.array([usual, _STD]) ** 2, np.array([1 - _WIDE_SHARE, _WIDE_SHARE])
+    weights = softmax(np.log(shares) - 0.5 * (np.log(priors + square) + alone**2 / (priors + square)))
+    gains = priors / (priors + square)
+    mean = float(weights @ (gains * alone))
+    return mean, float(np.sqrt(weights @ (gains * square + (gains * alone - mean) ** 2)))
 
 
 def covariance_of_margin(masks: SessionMasks | None, own: Float64, by_calibration: Float64 | None = None) -> Float64:

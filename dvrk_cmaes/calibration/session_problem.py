@@ -447,15 +447,13 @@ def _with_camera(arms: Arms) -> Arms:
 
 
 def _with_margin(arms: Arms) -> Arms:
-    """Estimate the margin of the masks, and take it off if it is clear."""
+    """Estimate the margin of the masks, and take it off."""
     out = list(arms)
     for group in _by_camera(arms):
         seen = [arms[k].outlined(file_is_prior=True) for k in group]
         masks, without = estimate_margin(seen)
         for k, (own, moved) in zip(group, without, strict=True):
-            out[k] = replace(arms[k], masks=masks)
-            if masks.applied:
-                out[k] = replace(out[k], start=own, moved=moved)
+            out[k] = replace(arms[k], masks=masks, start=own, moved=moved)
     return out
 
 
