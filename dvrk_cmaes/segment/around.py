@@ -2,7 +2,8 @@
 
 Each pixel has log-odds by its colour, by the edge between the local colours on both sides of the outline, and by the
 silhouette: none near its outline, which may be off by as much as the pose is unsure, and more with the distance beyond.
-A minimum graph cut follows the edges of the image.
+The sides of a shaft are straight up to the image's border, which limits a rough mask in the dark corners of an image,
+where cloth and tissue are as grey as the shaft. A minimum graph cut follows the edges of the image.
 """
 
 from __future__ import annotations
@@ -13,18 +14,17 @@ from typing import Final
 import cv2
 import numpy as np
 
+from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.evidence.outline_noise import signed_distance
+from dvrk_cmaes.evidence.shaft_edges import find_contour, find_shaft_edges
 from dvrk_cmaes.geometry import Bool, Float32, Image
 from dvrk_cmaes.segment.colours import Colours, ColourTable, brightest, local_colour_log_odds, measure_colours
 from dvrk_cmaes.segment.confidence import assess_mask
-from dvrk_cmaes.segment.edge_colours import edge_log_odds
 from dvrk_cmaes.segment.graph_cut import cut, levels
 from dvrk_cmaes.segment.prompts import Prompts, no_prompts
-from dvrk_cmaes.segment.regions import fill_holes
+from dvrk_cmaes.segment.regions import FINEST, fill_holes, resized, shrunk, size_within
 from dvrk_cmaes.segment.segmentation import Segmentation, nothing_found
-from dvrk_cmaes.segment.shaft_sides import shaft_log_odds
-from dvrk_cmaes.segment.sizes import FINEST, resized, shrunk, size_within
 
 FREE: Final = 3.0
 """px on either side of a silhouette's outline, in which a silhouette that is known well has no say."""
@@ -45,6 +45,19 @@ _BLURRED: Final = 2.0  # px from the band, within which a piece of a mask is nea
 _LEAST_WITHIN: Final = 0.5  # share of such a piece that lies near the silhouette
 _LEAST_PIECE: Final = 20  # px
 _SETTLED: Final = 0.002  # share of the mask's pixels that change, below which no further pass is made
+
+_SIDES: Final = (2.5, 14.0)  # px, distances from the outline between which the means are taken
+_NEARBY: Final = 8.0  # px, standard deviation of the Gaussian weights of the means
+_COARSER: Final = 4  # by which the image is reduced for the means
+_BLUR: Final = 1.0  # px, standard deviation of the Gaussian that smooths the image
+_BRIGHTNESS: Final = 0.5  # weight of brightness against colour; below 1, as the tool casts shadows along its outline
+_TEXTURE: Final = 6.0  # grey levels, difference of the two means at which the log-odds have half their weight
+_EDGE_STEEPNESS: Final = 8.0  # difference of the log-odds between the background's and the instrument's mean colour
+_FOCAL: Final = 1.2  # assumed focal length, in longer sides of the image; it matters little to find the sides
+_RADIUS: Final = 0.004  # m, assumed radius of the shaft, likewise
+_SLACK: Final = 1.5  # px on either side of a line, in which the log-odds are 0
+_SHAFT_STEEPNESS: Final = 1.0  # log-odds per px beyond that
+_LARGEST_OF_SHAFT: Final = 4.0  # bound of the log-odds
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,8 +143,8 @@ def mask_around(
             by_colour = known + _COLOURS_WEIGHT * local_colour_log_odds(table, mask)
         odds = by_colour + prior
         if edges:
-            odds += edge_log_odds(part, signed_distance(mask) if number else distance)
-        if straight and (sides := shaft_log_odds(mask, silhouette.shape, window)) is not None:
+            odds += _edge_log_odds(part, signed_distance(mask) if number else distance)
+        if straight and (sides := _shaft_log_odds(mask, silhouette.shape, window)) is not None:
             odds += sides
         before, mask = mask, cut(np.asarray(odds, np.float32), features, background=never, tool=tool)
         if not mask.any() or mask.all():
@@ -201,6 +214,84 @@ def guide(image: Image) -> Float32:
     smooth = cv2.GaussianBlur(image, (0, 0), _NOISE).astype(np.float32) + 8.0
     colourful = np.log(smooth[..., 2] / smooth[..., 1])
     return np.stack([np.log(brightest(smooth)), colourful], axis=-1)
+
+
+def _edge_log_odds(image: Image, away: Float32) -> Float32:
+    """Return log-odds of instrument (H, W) by the local mean colours on both sides of a mask's outline.
+
+    Lens and sensor blur every edge, so that the colour of a pixel on the edge is a mixture of the colours on its two
+    sides; the edge is where the mixture has equal parts. Colour histograms cannot locate it, since mixed colours may be
+    frequent on one of the sides.
+
+    Parameters
+    ----------
+    image
+        (H, W, 3) uint8, BGR.
+    away
+        (H, W), the signed distance from the outline, px, negative inside.
+
+    Returns
+    -------
+    (H, W) float32
+        Positive where a pixel's colour is nearer to the mean inside than to the mean outside; 0 far from the outline.
+    """
+    colours = cv2.GaussianBlur(image.astype(np.float32), (0, 0), _BLUR)
+    blue, green, red = (colours[..., k] for k in range(3))
+    # differences of channels, and brightness: linear, so that a mixture of two colours lies on the line between them
+    parts = np.stack([blue - red, green - red, green - blue, _BRIGHTNESS * (blue + green + red)], axis=-1) / np.sqrt(3)
+    inside, outside = (_local_mean(parts, (side > _SIDES[0]) & (side < _SIDES[1])) for side in (-away, away))
+    between = inside - outside
+    square = np.einsum("ijk,ijk->ij", between, between)
+    share = np.einsum("ijk,ijk->ij", parts - outside, between) / np.maximum(square, 1e-3)
+    weight = square / (square + _TEXTURE**2)
+    odds = _EDGE_STEEPNESS * weight * np.clip(share - 0.5, -0.5, 0.5)
+    return np.asarray(np.where(np.abs(away) < _SIDES[1], odds, 0), np.float32)
+
+
+def _local_mean(parts: Float32, where: Bool) -> Float32:
+    """Return the Gaussian-weighted local mean (H, W, C) of an image (H, W, C) over a region (H, W); 0 far from it.
+
+    It is smooth, and computed at a reduced size.
+    """
+    height, width = where.shape
+    size = max(width // _COARSER, 1), max(height // _COARSER, 1)
+
+    def smoothed(values: Float32) -> Float32:
+        small = cv2.GaussianBlur(cv2.resize(values, size, interpolation=cv2.INTER_AREA), (0, 0), _NEARBY / _COARSER)
+        return np.asarray(cv2.resize(small, (width, height)), np.float32)
+
+    weight = where.astype(np.float32)
+    return np.asarray(smoothed(parts * weight[..., None]) / np.maximum(smoothed(weight), 1e-6)[..., None], np.float32)
+
+
+def _shaft_log_odds(part: Bool, shape: tuple[int, ...], window: tuple[slice, slice]) -> Float32 | None:
+    """Return log-odds of instrument (h, w) by the shaft's sides in a mask, or None if no sides are found.
+
+    ``part`` (h, w) is the mask in a window (rows, columns) of an image of a shape (H, W). The log-odds are 0 distally
+    of the more proximal of the two sides' distal ends, where the wrist begins.
+    """
+    mask = np.zeros(shape, np.bool_)
+    mask[window] = part
+    height, width = mask.shape
+    focal = _FOCAL * max(height, width)
+    camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+    pairs = find_shaft_edges(mask, find_contour(mask, camera), camera, _RADIUS)
+    if isinstance(pairs, str):
+        return None
+    lines = pairs[0].planes @ np.linalg.inv(camera.matrix)
+    lines /= np.linalg.norm(lines[:, :2], axis=1, keepdims=True)
+    v, u = np.mgrid[window].astype(np.float32)
+    first, second = (line[0] * u + line[1] * v + line[2] for line in lines)  # px, positive outside
+    outside = np.maximum(first, second)
+    pull = -_SHAFT_STEEPNESS * np.sign(outside) * np.maximum(np.abs(outside) - _SLACK, 0)
+    ends = pairs[0].ends  # (2, 2, 2), px, of each side
+    across = lines[0, :2] - lines[1, :2]  # of opposite normals
+    along = np.array([-across[1], across[0]]) / np.linalg.norm(across)
+    to_border = np.minimum(ends, [width - 1, height - 1] - ends).min(axis=2)
+    starts, stops = np.take_along_axis(to_border, (ends @ along).argsort(axis=1), axis=1).min(axis=0)
+    along = along if starts <= stops else -along  # from the border of the image
+    on_shaft = along[0] * u + along[1] * v < (ends @ along).max(axis=1).min()
+    return np.asarray(np.where(on_shaft, np.clip(pull, -_LARGEST_OF_SHAFT, _LARGEST_OF_SHAFT), 0), np.float32)
 
 
 def _within(mask: Bool, near: Bool) -> Bool:

@@ -24,9 +24,8 @@ from dvrk_cmaes.segment.around import segmentation_around
 from dvrk_cmaes.segment.colours import ColourTable, measure_colours
 from dvrk_cmaes.segment.graph_cut import LARGEST
 from dvrk_cmaes.segment.prompts import Prompts, no_prompts
-from dvrk_cmaes.segment.regions import distance_to, instrument_region
+from dvrk_cmaes.segment.regions import FINEST, SMALLEST, distance_to, instrument_region, resized, shrunk
 from dvrk_cmaes.segment.segmentation import Segmentation, nothing_found
-from dvrk_cmaes.segment.sizes import FINEST, SMALLEST, resized, shrunk
 
 FEWEST: Final = 6
 """Images from which a background is learned, at least."""

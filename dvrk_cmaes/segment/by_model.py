@@ -21,9 +21,9 @@ from dvrk_cmaes.frames.seen_view import overlap_of
 from dvrk_cmaes.geometry import Bool, Float32, Float64, Image, Posed, frame_along, rotation_about_z, transform
 from dvrk_cmaes.segment.appearance import Appearance, Scores
 from dvrk_cmaes.segment.prompts import Prompts
+from dvrk_cmaes.segment.regions import REDUCED, resized, shrunk, size_within
 from dvrk_cmaes.segment.segmentation import GUESS, Pixel
 from dvrk_cmaes.segment.shaft_pairs import Pair, find_pairs, pair_of_mask
-from dvrk_cmaes.segment.sizes import REDUCED, resized, shrunk, size_within
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import decimated_body
 

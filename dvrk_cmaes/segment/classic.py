@@ -25,9 +25,17 @@ from dvrk_cmaes.segment.colours import (
 from dvrk_cmaes.segment.confidence import assess_mask
 from dvrk_cmaes.segment.graph_cut import cut, levels
 from dvrk_cmaes.segment.prompts import Prompts, draw_prompts
-from dvrk_cmaes.segment.regions import distance_to, fill_holes, instrument_region
+from dvrk_cmaes.segment.regions import (
+    REDUCED,
+    SMALLEST,
+    distance_to,
+    fill_holes,
+    instrument_region,
+    resized,
+    shrunk,
+    size_within,
+)
 from dvrk_cmaes.segment.segmentation import Hints, Segmentation, nothing_found
-from dvrk_cmaes.segment.sizes import REDUCED, SMALLEST, resized, shrunk, size_within
 
 # lengths without a unit are fractions of the image's longer side
 # (share of the instrument that may have any colour, largest number of iterations); a large share lets the mask grow

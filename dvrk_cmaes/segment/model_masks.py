@@ -22,10 +22,9 @@ from dvrk_cmaes.segment.around import mask_around, segmentation_around
 from dvrk_cmaes.segment.by_model import Candidate, assumed_camera, find_instruments
 from dvrk_cmaes.segment.colours import ColourTable, measure_colours
 from dvrk_cmaes.segment.prompts import Prompts
-from dvrk_cmaes.segment.regions import distance_to
+from dvrk_cmaes.segment.regions import FINEST, distance_to, resized, shrunk, size_within
 from dvrk_cmaes.segment.segmentation import GUESS, Segmentation, nothing_found
 from dvrk_cmaes.segment.shaft_pairs import pair_of_mask
-from dvrk_cmaes.segment.sizes import FINEST, resized, shrunk, size_within
 from dvrk_cmaes.silhouette import Body, Renderer
 
 _SIZE: Final = 480  # px, longer side at which masks are cut

@@ -1,4 +1,4 @@
-"""Connected regions of a mask: choice of those that are the instrument, contact with the border, holes.
+"""Images and flagged pixels at reduced sizes; connected regions of a mask, their contact with the border, and holes.
 
 An instrument enters the image from its border. In a mask it may be in several pieces, because glare or shadow across it
 separates the wrist from the shaft.
@@ -6,17 +6,45 @@ separates the wrist from the shaft.
 
 from __future__ import annotations
 
+from typing import Final
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.geometry import Bool, Float32
+from dvrk_cmaes.geometry import Bool, Float32, Image
 from dvrk_cmaes.segment.prompts import Prompts
 
+REDUCED: Final = 320
+"""px, longer side of the reduced images in which instruments are looked for."""
+FINEST: Final = 1000
+"""px, longer side above which masks and backgrounds are found in a reduced image."""
+SMALLEST: Final = 8
+"""px, least shorter side of an image in which a mask is looked for."""
 _INSIDE_SHARE = 0.2  # weight of the area of a region that does not meet the border, against 1 for one that does
 _LEAST_BORDER = 5  # least number of pixels on the border for a region to meet it
 _LEAST_SHARE = 0.004  # least area of a further piece, as a fraction of the chosen region's
 _LARGEST_HOLE = 0.01  # largest area of a hole that is filled, as a fraction of the image
+
+
+def size_within(shape: tuple[int, ...], longest: int) -> tuple[tuple[int, int], float]:
+    """Return width and height, px, and scale of an image of a shape (H, W, ...) with at most some px as longer side."""
+    scale = min(longest / max(shape[:2]), 1.0)
+    return (max(round(shape[1] * scale), 1), max(round(shape[0] * scale), 1)), scale
+
+
+def shrunk(image: Image, longest: int) -> Image:
+    """Return an image (H, W) or (H, W, C) with at most some pixels as longer side."""
+    size, scale = size_within(image.shape, longest)
+    return image if scale == 1 else np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def resized(flags: Bool, size: tuple[int, int]) -> Bool:
+    """Return pixels (H, W) at another size, width and height in px: those more than half of which is flagged."""
+    if size == flags.shape[1::-1]:
+        return flags
+    how = cv2.INTER_AREA if size[0] < flags.shape[1] else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(flags.astype(np.float32), size, interpolation=how) > 0.5)
 
 
 def meets_border(mask: Bool, outside: Bool) -> bool:

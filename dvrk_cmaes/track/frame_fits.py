@@ -34,7 +34,7 @@ from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.pose.doubts import UNSUPPORTED, reasons, silhouette_without_colours
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.views import FrameView, silhouette_of
-from dvrk_cmaes.segment.sizes import FINEST
+from dvrk_cmaes.segment.regions import FINEST
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.track.image_masks import PASSES, SPREAD_OF_FIT, ColourModel, learned_colours, mask_around
 

@@ -21,7 +21,7 @@ from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.geometry import Bool, Float32, Image
 from dvrk_cmaes.segment import around
 from dvrk_cmaes.segment.prompts import no_prompts
-from dvrk_cmaes.segment.sizes import FINEST, resized, shrunk, size_within
+from dvrk_cmaes.segment.regions import FINEST, resized, shrunk, size_within
 
 _BLURRED = 2.0  # px from the outline, within which pixels have colours of both sides
 _AROUND = 40.0  # px from the outline, within which colours are learned
