@@ -21,7 +21,7 @@ from helpers.named_failures import NamedFailures
 from helpers.places import SHARED
 from helpers.plain_pictures import plain_pictures, small_overlays
 from helpers.processes_here import processes_here, real_processes
-from helpers.shared_estimates import shared_estimates, short_searches
+from helpers.shared_estimates import estimated_anew, shared_estimates, short_searches
 from hypothesis import settings
 
 from dvrk_cmaes import Body, Camera, load_instrument, read_camera
@@ -49,10 +49,13 @@ REQUIREMENTS = (
     ),
 )
 LONGEST = (
-    *("test_recordings", "test_reference_examples", "test_frames", "test_calibrations", "test_fuzz", "test_tutorial"),
-    *("test_background", "test_live", "test_outputs", "test_keyframe_tracker", "test_calibrate", "test_notebook"),
-    *("test_import_surgpose", "test_by_model", "test_session_rig", "test_tracker", "test_page", "test_steered_session"),
-    *("test_pool", "test_classic", "test_formats", "test_segment", "test_model", "test_rig_tracking"),
+    *("test_recordings", "test_reference_examples", "test_frames", "test_fuzz", "test_background"),
+    *("test_calibrations", "test_keyframe_tracker", "test_tutorial", "test_calibrate", "test_steered_session"),
+    *("test_import_surgpose", "test_page", "test_outputs", "test_notebook", "test_session_rig", "test_live"),
+    *("test_by_model", "test_tracker", "test_formats", "test_classic", "test_segment", "test_model"),
+    *("test_session_tools", "test_estimate_golden", "test_rig_tracking", "test_cluster", "test_image_tracking"),
+    *("test_renderer", "test_pool", "test_held", "test_bombs", "test_estimate", "test_user_reports"),
+    *("test_examples", "test_sam2", "test_readme_examples"),
 )
 """Files of tests that take longest, in the order in which they begin; all others follow.
 
@@ -189,6 +192,13 @@ def own_processes(tasks_here: None) -> Iterator[None]:
 def estimates_shared() -> Iterator[None]:
     """Let commands and batches of a test, and of others with this fixture, estimate each frame once for all of them."""
     with shared_estimates():
+        yield
+
+
+@pytest.fixture
+def estimates_anew(estimates_shared: None) -> Iterator[None]:
+    """Let each estimate of a test be made where the others of its file share them."""
+    with estimated_anew():
         yield
 
 

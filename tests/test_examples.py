@@ -17,6 +17,8 @@ from helpers.places import ROOT, SCRIPTS
 
 import dvrk_cmaes
 
+pytestmark = pytest.mark.usefixtures("estimates_shared")
+
 OF_ROS = {"__init__", "live_launch", "play_session", "sam2_mask_node"}  # of tests/live/test_page.py
 EXAMPLES = sorted(path for path in (SCRIPTS / "examples").glob("*.py") if path.stem not in OF_ROS)
 

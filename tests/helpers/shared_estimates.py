@@ -1,4 +1,4 @@
-"""Estimates of frames by commands and batches, made once for the same inputs and settings and then shared.
+"""Estimates of frames by commands and in Python, made once for the same inputs and settings and then shared.
 
 For tests whose subject is what is done with results: an estimate takes some 0.4 s of processor time.
 """
@@ -8,18 +8,23 @@ from __future__ import annotations
 import hashlib
 import os
 import pickle
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import fields
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from dvrk_cmaes import Body, EstimateConfig, Result
+from dvrk_cmaes import EstimateConfig, Result, prepare
+from dvrk_cmaes.estimation import image_frame, one_tool
 from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.runs import frame as frames
 from dvrk_cmaes.runs.manifest import digest_of
+
+MAKE = one_tool.estimate_views
+_CALLERS = one_tool, image_frame, frames
 
 
 @contextmanager
@@ -28,22 +33,43 @@ def shared_estimates() -> Iterator[None]:
 
     Results are kept beside the tests' cache of instruments, which all processes of pytest-xdist share.
     """
-    estimate_views = frames.estimate_views
 
-    def estimated(views: Any, readings: Any, body: Body, method: FrameMethod, **options: Any) -> Result:
-        given = pickle.dumps((views, dict(readings), body.method, method, sorted(options.items())))
+    def estimated(
+        views: Any,
+        readings: Any,
+        instrument: Any,
+        method: FrameMethod,
+        *,
+        frame: str = "",
+        time: Any = None,
+        **more: Any,
+    ) -> Result:
+        body = prepare(instrument)
+        given = pickle.dumps((views, dict(readings or {}), body.method, method, sorted(more.items())))
         key = digest_of(body.instrument) + hashlib.sha256(given).hexdigest()
         kept = Path(os.environ["DVRK_CMAES_CACHE"]).with_name("estimates") / key
         if not kept.exists():
             kept.parent.mkdir(exist_ok=True)
-            made = kept.with_suffix(f".{os.getpid()}")
-            made.write_bytes(pickle.dumps(estimate_views(views, readings, body, method, **options)))
+            made = kept.with_suffix(f".{os.getpid()}.{threading.get_ident()}")
+            made.write_bytes(pickle.dumps(MAKE(views, readings, body, method, **more)))
             made.replace(kept)
         result: Result = pickle.loads(kept.read_bytes())
-        return result
+        return replace(result, frame=frame, time=time)
 
+    with _estimating_by(estimated):
+        yield
+
+
+def estimated_anew() -> AbstractContextManager[None]:
+    """Let each estimate within `shared_estimates` be made."""
+    return _estimating_by(MAKE)
+
+
+@contextmanager
+def _estimating_by(estimate_views: Callable[..., Result]) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(frames, "estimate_views", estimated)
+        for module in _CALLERS:
+            patch.setattr(module, "estimate_views", estimate_views)
         yield
 
 

@@ -16,7 +16,7 @@ from promises.program import DEMO, OUT, Kept, distance, matrix, median, results,
 
 EASY = ("--level", "easy", "--frames", 8, "--seed", 5, "--no-images")
 EYES = ("--stereo", "--level", "medium", "--frames", 4, "--seed", 2, "--no-images")
-TOOLS = ("--arms", 2, "--level", "easy", "--frames", 6, "--seed", 4, "--no-images")
+TOOLS = ("--arms", 2, "--level", "easy", "--frames", 4, "--seed", 4, "--no-images")
 
 
 def base(session: Path, arm: str = "") -> np.ndarray:
@@ -90,17 +90,19 @@ def with_camera(session: Path, folder: Path, pattern: str, other: str) -> Path:
     return folder
 
 
-def test_centre_of_another_image_is_doubted_with_its_direction(kept: Kept, tmp_path: Path) -> None:
+def test_centre_of_another_image_is_doubted_with_its_direction(kept: Kept, tmp_path: Path, quick: Path) -> None:
     session = with_camera(synth(kept, *EASY), tmp_path / "session", r"\b163(\.0)?\b", "213.0")
-    run("calibrate", session, "--out", tmp_path / "out", "--workers", 1)
+    run("calibrate", session, "--out", tmp_path / "out", "--config", quick, "--workers", 1)
     document = json.loads((tmp_path / "out" / "session.json").read_text())
     (doubt,) = [doubt for doubt in document["doubts"] if "camera file is contradicted" in doubt]
     assert re.search(r"a principal point \d+ px \(std \d+\) left", doubt), doubt
 
 
-def test_camera_of_another_zoom_is_doubted_and_so_is_all_that_rests_on_it(kept: Kept, tmp_path: Path) -> None:
+def test_camera_of_another_zoom_is_doubted_and_so_is_all_that_rests_on_it(
+    kept: Kept, tmp_path: Path, quick: Path
+) -> None:
     session = with_camera(synth(kept, *EASY), tmp_path / "session", r"5(21\.3|19(\.0)?)\b", r"4\1")
-    ran = run("calibrate", session, "--out", tmp_path / "out", "--workers", 1)
+    ran = run("calibrate", session, "--out", tmp_path / "out", "--config", quick, "--workers", 1)
     document = json.loads((tmp_path / "out" / "session.json").read_text())
     assert (ran.code, document["status"]) == (3, "doubtful")
     assert any("camera file is contradicted" in doubt for doubt in document["doubts"])

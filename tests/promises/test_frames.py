@@ -127,6 +127,7 @@ def test_result_in_python_is_that_of_the_command(kept: Kept) -> None:
     assert result.overlay(np.zeros((*mask.shape, 3), np.uint8)).shape == (*mask.shape, 3)
 
 
+@pytest.mark.usefixtures("estimates_anew")
 def test_same_input_and_seed_give_the_same_answer_with_any_threads(kept: Kept) -> None:
     mask, camera, readings = by_hand(synth(kept, *EASY), "0001")
     answers = [

@@ -190,9 +190,9 @@ def test_interrupted_batch_goes_on_to_the_same_results(kept: Kept, batched: Path
     assert not [name for name in content(out) if name.endswith((".tmp", ".part"))]
 
 
-def test_second_command_in_a_folder_is_refused_while_the_first_runs(tmp_path: Path) -> None:
+def test_second_command_in_a_folder_is_refused_while_the_first_runs(tmp_path: Path, quick: Path) -> None:
     out = tmp_path / "out"
-    first = started("batch", DEMO, "--out", out, "--workers", 1, folder=tmp_path)
+    first = started("batch", DEMO, "--out", out, "--config", quick, "--workers", 1, folder=tmp_path)
     try:
         wait_until(lambda: out.is_dir() and any(out.iterdir()))
         second = run("batch", DEMO, "--out", out)
