@@ -165,9 +165,6 @@ def test_arguments_are_not_modified(bundled_body: Body, frame: FrameData, readin
     assert (tips == before).all()
 
 
-# evidence
-
-
 # methods
 
 

@@ -6,7 +6,6 @@ import json
 import shlex
 import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -172,24 +171,6 @@ def test_real_files_are_recognised(shared: Path) -> None:
 
 
 # the command
-
-
-def test_command_prints_text_or_json(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    missing = tmp_path / "none.yaml"
-    assert main(["inspect", str(DEMO / "camera.yaml"), str(missing), str(DEMO / "joints.csv")]) == 2
-    printed = capsys.readouterr()
-    assert printed.err == f"dvrk-cmaes: {missing}: no such file; expected a file or folder to look at\n"
-    lines = printed.out.splitlines()
-    assert lines[0] == f"{DEMO / 'camera.yaml'}: camera"
-    assert "  rule: images are taken for raw ones unless --rectified says otherwise" in lines
-    assert f"{DEMO / 'joints.csv'}: joint readings" in lines
-    assert main(["inspect", "--json", str(DEMO / "camera.yaml"), str(missing)]) == 2
-    printed = capsys.readouterr()
-    first, second = (dict[str, Any](entry) for entry in json.loads(printed.out))
-    assert printed.err == f"dvrk-cmaes: {missing}: no such file; expected a file or folder to look at\n"
-    assert (first["kind"], first["read"]["size"]) == ("camera", [640, 480])
-    assert (second["kind"], second["path"]) == (None, str(missing))
-    assert main(["inspect", str(DEMO / "camera.yaml")]) == 0
 
 
 def test_session_of_several_arms_is_described_by_arm(tmp_path: Path) -> None:

@@ -37,6 +37,7 @@ NOT_HERE = {
     "--weights": "weights",
     "...": "a command that is not whole",
     "recording": "another laboratory's recording",
+    "400181": "the dVRK's description of its instruments",
     "pictures": "a session without a camera file",
     **dict.fromkeys(
         ("endovis17", "jhu", "lincoln/by_hand", "ucsd19", "labels/f0.png", "raw/frame000.png"), "public data"

@@ -209,9 +209,6 @@ def test_unusable_kalibr_field_is_named(tmp_path: Path, old: str, new: str, expe
     assert message(written(tmp_path, CAMCHAIN.replace(old, new, 1))).startswith(expected)
 
 
-# plain
-
-
 # the side of a file of one camera
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from helpers.canned_results import canned, write_results
+from helpers.canned_results import canned
 from helpers.commands import main
 from helpers.demo_files import CAMERA, DEMO, IMAGE, JOINTS, MASK, SMALL_CAMERA, frame
 from helpers.made_recordings import good, write_bag, write_video
@@ -73,16 +73,6 @@ def test_invalid_file_name_is_refused(said: Said, tmp_path: Path, reader: str, k
     told = said(READERS[reader](NAMES[kind]))
     assert told.startswith("2 ")
     assert len(told) < 900
-
-
-@pytest.fixture
-def results(tmp_path: Path) -> Path:
-    return write_results(tmp_path / "results", *(canned(f"{k:04d}", k) for k in range(6)))
-
-
-@pytest.fixture
-def bag(tmp_path: Path) -> Path:
-    return write_bag(tmp_path / "bag", "mcap", good(2))
 
 
 def test_files_with_unusual_names_are_read_and_written(

@@ -9,7 +9,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from helpers.batch_sessions import QUICK
 from helpers.commands import run_command
 from helpers.done_once import found_by_model
 from helpers.drawn_tools import draw_tool
@@ -156,23 +155,3 @@ def test_masks_by_sam2_are_those_of_the_session(
     mask = read_mask(frame.mask)
     assert mask[155:245, 65:395].all()  # what is in the box of the mask that was found
     assert mask.sum() < 1.05 * 100 * 340
-
-
-@pytest.mark.usefixtures("tasks_here")
-def test_batch_without_masks(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    session, out = tmp_path / "session", tmp_path / "out"
-    (session / "images").mkdir(parents=True)
-    for name in ("camera.yaml", "joints.csv", "images/0000.jpg"):
-        shutil.copy(DEMO / name, session / name)
-    (tmp_path / "quick.toml").write_text(QUICK, encoding="utf-8")
-    command = ("batch", session, "--out", out, "--workers", 1, "--config", tmp_path / "quick.toml", "--json")
-    ran = run_command(capsys, *command)
-    assert ran.code in (0, 3)
-    assert ran.result["counts"]["failed"] == 0
-    assert [path.name for path in (out / "masks").iterdir()] == ["0000.png"]
-    ran = run_command(capsys, *command, "--model", "sam2", "--weights", tmp_path)
-    assert "its results were made otherwise (segment.model: classic -> sam2" in ran.refusal
-    assert run_command(capsys, *command[:2], "--out", session).refusal == (
-        f"{session}: expected a new or empty folder, or one of an earlier batch, got one with camera.yaml; nothing was "
-        "changed"
-    )

@@ -7,10 +7,12 @@ import os
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from helpers.batch_sessions import QUICK
 from helpers.commands import run_command
+from helpers.files import read_image, write_image
 from helpers.places import bundled_path
 from helpers.session_worlds import make_frames_in_memory, write_folder
 from helpers.stereo_sessions import make_session_of_two_tools
@@ -129,7 +131,8 @@ def test_a_photo_or_a_pattern_names_frames_of_its_folder(
     folder = tmp_path / "own"
     shutil.copytree(bundled_path("demo"), folder)
     if given == "*.jpg":
-        shutil.copy(folder / "images" / "0002.jpg", folder)
+        picture = read_image(folder / "images" / "0002.jpg")
+        write_image(folder / "0002.jpg", cv2.resize(picture, (320, 240), interpolation=cv2.INTER_AREA))
         shutil.rmtree(folder / "images")
         shutil.rmtree(folder / "masks")
     ran = run_command(capsys, "batch", folder / given, "--out", tmp_path / "out", "--config", quick, "--workers", 1)

@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from dvrk_cmaes import EstimateConfig, Result, prepare
+from dvrk_cmaes import EstimateConfig, Renderer, Result, prepare
 from dvrk_cmaes.estimation import image_frame, one_tool
 from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.runs import frame as frames
@@ -54,7 +54,7 @@ def shared_estimates() -> Iterator[None]:
             made.write_bytes(pickle.dumps(MAKE(views, readings, body, method, **more)))
             made.replace(kept)
         result: Result = pickle.loads(kept.read_bytes())
-        return replace(result, frame=frame, time=time)
+        return replace(result, frame=frame, time=time, renderer=Renderer(body, views[0].camera, threads=1))
 
     with _estimating_by(estimated):
         yield

@@ -85,7 +85,8 @@ def test_all_that_a_video_lacks_is_named_at_once(video: list[object], tmp_path: 
 
 
 def test_plain_picture_is_a_session_without_readings(tmp_path: Path, quick: Path) -> None:
-    shutil.copy(DEMO / "images" / "0003.jpg", tmp_path)
+    picture = cv2.imread(str(DEMO / "images" / "0003.jpg"))
+    cv2.imwrite(str(tmp_path / "0003.jpg"), cv2.resize(picture, (320, 240), interpolation=cv2.INTER_AREA))
     words = ("--camera", DEMO / "camera.yaml", "--config", quick, "--workers", 1)
     ran = run("batch", tmp_path, *words, "--out", tmp_path / "out")
     assert ran.code == 3

@@ -18,6 +18,8 @@ from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.runs.batch import BatchSummary, Workers, finish, run_batch
 from dvrk_cmaes.runs.frame import ArmInSession
 
+pytestmark = pytest.mark.usefixtures("estimates_shared")
+
 Batch = Callable[..., BatchSummary]
 
 
@@ -47,7 +49,6 @@ def refusal(batch: Batch, *arguments: object, **options: object) -> str:
     return text
 
 
-@pytest.mark.usefixtures("estimates_shared")
 def test_resume_with_other_instrument_is_refused(batch: Batch, two: Path, tmp_path: Path, bundled_body: Body) -> None:
     batch(two)
     limits = bundled_body.instrument.limits + 0.1
@@ -56,7 +57,6 @@ def test_resume_with_other_instrument_is_refused(batch: Batch, two: Path, tmp_pa
         run_batch(ArmInSession(read_session(two), other, FrameMethod("classic", QUICK_CONFIG)), tmp_path / "out")
 
 
-@pytest.mark.usefixtures("estimates_shared")
 def test_resume_with_changed_files_is_refused(batch: Batch, two: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     batch(two)
@@ -76,7 +76,6 @@ def test_resume_with_changed_files_is_refused(batch: Batch, two: Path, tmp_path:
     )
 
 
-@pytest.mark.usefixtures("estimates_shared")
 def test_failed_frames_are_repeated(batch: Batch, two: Path, tmp_path: Path) -> None:
     mask = two / "masks" / "0002.png"
     sound = mask.read_bytes()
@@ -91,7 +90,6 @@ def test_failed_frames_are_repeated(batch: Batch, two: Path, tmp_path: Path) -> 
     assert comparable(tmp_path / "out") == comparable(tmp_path / "sound")
 
 
-@pytest.mark.usefixtures("estimates_shared")
 def test_settings_may_change_while_all_frames_have_failed(batch: Batch, two: Path, tmp_path: Path) -> None:
     batch(two, "sound", kinematics="si")
     masks = {path: path.read_bytes() for path in (two / "masks").iterdir()}
@@ -106,7 +104,6 @@ def test_settings_may_change_while_all_frames_have_failed(batch: Batch, two: Pat
     assert "arm: si -> classic" in refusal(batch, two)
 
 
-@pytest.mark.usefixtures("estimates_shared")
 @pytest.mark.parametrize("name", ["frames/0001.json", "overlays/0001.jpg", "summary.json", "report.html"])
 def test_folder_in_the_place_of_a_file_is_refused_first(batch: Batch, two: Path, tmp_path: Path, name: str) -> None:
     batch(two, pattern="0002")
@@ -119,7 +116,6 @@ def test_folder_in_the_place_of_a_file_is_refused_first(batch: Batch, two: Path,
     assert {path: path.lstat().st_mtime_ns for path in (tmp_path / "out").rglob("*")} == before
 
 
-@pytest.mark.usefixtures("estimates_shared")
 def test_file_in_the_place_of_a_folder_is_refused_first(batch: Batch, two: Path, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "overlays").write_text("mine")
@@ -133,7 +129,6 @@ def test_file_in_the_place_of_a_folder_is_refused_first(batch: Batch, two: Path,
     assert (tmp_path / "out" / "overlays").read_text() == "mine"
 
 
-@pytest.mark.usefixtures("estimates_shared")
 def test_damaged_summary_is_replaced(batch: Batch, two: Path, tmp_path: Path) -> None:
     batch(two)
     whole = comparable(tmp_path / "out")
@@ -142,7 +137,6 @@ def test_damaged_summary_is_replaced(batch: Batch, two: Path, tmp_path: Path) ->
     assert comparable(tmp_path / "out") == whole
 
 
-@pytest.mark.usefixtures("estimates_shared")
 def test_pattern_selects_frames(batch: Batch, two: Path, tmp_path: Path) -> None:
     assert list(batch(two, pattern="*2").document["frames"]) == ["0002"]
     assert list(batch(two).document["frames"]) == ["0001", "0002"]
@@ -153,7 +147,6 @@ def test_pattern_selects_frames(batch: Batch, two: Path, tmp_path: Path) -> None
     )
 
 
-@pytest.mark.usefixtures("estimates_shared")
 def test_session_may_be_moved(batch: Batch, two: Path, tmp_path: Path) -> None:
     batch(two)
     moved = tmp_path / "elsewhere" / "moved"
@@ -165,7 +158,6 @@ def test_session_may_be_moved(batch: Batch, two: Path, tmp_path: Path) -> None:
     assert {name for name in here if here[name] != there[name]} <= {"run.json", "summary.json"}
 
 
-@pytest.mark.usefixtures("estimates_shared")
 def test_tables_can_be_rewritten(batch: Batch, two: Path, tmp_path: Path) -> None:
     batch(two)
     out = tmp_path / "out"
@@ -178,7 +170,6 @@ def test_tables_can_be_rewritten(batch: Batch, two: Path, tmp_path: Path) -> Non
         finish(two)
 
 
-@pytest.mark.usefixtures("estimates_shared")
 def test_wrist_readings_that_never_move_are_one_warning_of_all_frames(batch: Batch, tmp_path: Path) -> None:
     folder = make_session(tmp_path / "session", ["0001", "0002", "0003", "0004", "0005"])
     with open(folder / "joints.csv", encoding="utf-8") as file:

@@ -41,12 +41,6 @@ def step(tracker: Tracker, world: MovingWorld, k: int) -> TrackResult:
     return tracker.step(world.time(k), world.masks[k])
 
 
-def test_no_pose_is_ok_before_a_solution(before: tuple[Tracker, list[TrackResult]]) -> None:
-    _, results = before
-    assert all(result.status != "ok" for result in results)
-    assert "base not known yet: 4 keyframes" in results[-1].reasons[0]
-
-
 @pytest.mark.parametrize("outer", ["never read", "read 2 s before the images", "standing still"])
 def test_no_pose_is_ok_before_the_base_is_known_whatever_is_read(world: MovingWorld, outer: str) -> None:
     """Each of these leaves the base unknown, and the images are followed by their masks and the wrist's readings."""
@@ -137,16 +131,6 @@ def test_given_calibration_is_given_up_where_the_camera_was_moved(calibration: S
     assert all(result.status != "ok" for result in results)
     assert tracker.base_state.startswith("calibrating: ")
     assert "base not known yet" in tracker.base_state
-
-
-def test_poses_by_a_doubtful_calibration_are_doubtful_for_its_reason(
-    world: MovingWorld, calibration: SessionCalibration
-) -> None:
-    doubtful = replace(calibration, doubts=("the camera file is contradicted",), remarks=("lag: taken out",))
-    results = world.follow(Tracker(world.camera, world.body, doubtful, CONFIG), frames=range(4))
-    assert {result.status for result in results} == {"doubtful"}
-    assert {result.reasons for result in results} == {("session: the camera file is contradicted",)}
-    assert {result.remarks for result in results} == {("lag: taken out",)}
 
 
 def test_solution_of_a_base_that_was_given_up_is_not_used(before: tuple[Tracker, list[TrackResult]]) -> None:
