@@ -2,32 +2,28 @@
 
     python scripts/make_readme_picture.py
 
-The frame is one of the bundled session. The recording is that of the gallery in which another instrument and a piece of
-tissue pass before the one that is followed, in a smaller size.
+The frame is one of the bundled session. Result and recording are those of the gallery, smaller; in the recording
+another instrument and a piece of tissue pass before the one that is followed.
 """
 
 from __future__ import annotations
 
-import argparse
 import io
-import shlex
-import subprocess
-import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
-from pages.gallery import CAMERA, EXHIBITS
+from pages.gallery import EXHIBITS, FOLLOWED, gallery_page
 from pages.moving_picture import moving_picture
 from PIL import Image
 
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.draw.overlay import draw_overlay
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.frames.frame import read_frame
+from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.geometry import Bool, Indices
 from dvrk_cmaes.io.bundled import bundled_path
@@ -49,17 +45,23 @@ COLOURS = ((38, 38, 44), (214, 214, 214), (230, 120, 60), (70, 140, 230))  # of 
 
 FOLLOWED_WIDTH = 960  # px
 FOLLOWED_QUALITY = 4  # of the WebP, 0 to 100
-FOLLOWED_MS = 80  # between two images
 
 
 def main() -> None:
-    """Write all pictures, or those that are named."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--out", type=Path, default=bundled_path("docs"), help="folder to write to")
-    parser.add_argument("--only", choices=PICTURES, help="write one of them")
-    options = parser.parse_args()
-    for name in [options.only] if options.only else PICTURES:
-        write_bytes(options.out / name, PICTURES[name]())
+    """Write the three pictures."""
+    docs, exhibits = bundled_path("docs"), {exhibit.shown: exhibit for exhibit in EXHIBITS}
+    write_bytes(docs / "how.png", how_picture())
+    with tempfile.TemporaryDirectory() as folder:
+        work, out = Path(folder, "work"), Path(folder, "out")
+        work.mkdir()
+        gallery_page(out, work, [exhibits["frame"], exhibits["hidden"]])
+        drawn = read_image(out / "frame" / "overlays" / f"{FRAME}.jpg")
+        size = (WIDTH, round(drawn.shape[0] * WIDTH / drawn.shape[1]))
+        small = cv2.resize(drawn, size, interpolation=cv2.INTER_AREA)
+        jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
+        write_bytes(docs / "overlay.jpg", jpeg.tobytes())
+        shown = moving_picture(out / "hidden", width=FOLLOWED_WIDTH, milliseconds=100, quality=FOLLOWED_QUALITY)
+        write_bytes(docs / FOLLOWED, shown)
 
 
 def how_picture() -> bytes:
@@ -110,35 +112,6 @@ def _cropped(image: Bool) -> Bool:
     part = image[top:bottom, left:right].astype(np.uint8)
     return np.asarray(cv2.resize(part, PANEL, interpolation=cv2.INTER_NEAREST) > 0)
 
-
-def frame_picture() -> bytes:
-    """Estimate the frame and return its overlay, reduced in size, as a JPEG."""
-    session, body = read_session(bundled_path("demo")), prepare("lnd")
-    files = next(frame for frame in session.frames if frame.name == FRAME)
-    data = read_frame(files, session.camera)
-    result = estimate(data.mask, data.camera, files.readings, body, frame=files.name)
-    drawn = draw_overlay(result, data.mask, data.camera, body, image=data.image)
-    size = (WIDTH, round(drawn.shape[0] * WIDTH / drawn.shape[1]))
-    small = cv2.resize(drawn, size, interpolation=cv2.INTER_AREA)
-    return bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes())
-
-
-def recording_picture() -> bytes:
-    """Make the recording, follow all of its frames, and return it as an animated WebP."""
-    (hidden,) = (exhibit for exhibit in EXHIBITS if exhibit.title == "A hidden instrument")
-    with tempfile.TemporaryDirectory() as folder:
-        Path(folder, "camera.yaml").write_text(CAMERA, encoding="utf-8")
-        for command in hidden.commands:
-            subprocess.run(
-                [sys.executable, "-m", "dvrk_cmaes", *shlex.split(command.replace("--every 2 ", ""))],
-                cwd=folder,
-                check=False,
-            )
-        tracks = Path(folder) / hidden.shown
-        return moving_picture(tracks, width=FOLLOWED_WIDTH, milliseconds=FOLLOWED_MS, quality=FOLLOWED_QUALITY)
-
-
-PICTURES = {"how.png": how_picture, "overlay.jpg": frame_picture, "followed.webp": recording_picture}
 
 if __name__ == "__main__":
     main()
