@@ -18,9 +18,9 @@ These formats are read:
 
 from __future__ import annotations
 
+import io
 import math
 import re
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 from typing import Final
@@ -29,13 +29,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.csv_file import Rows, read_csv_rows
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.joint_state import file_of_messages
 from dvrk_cmaes.joints.names import ARM_ORDER, joint_reading, joints_of_arm
-from dvrk_cmaes.joints.rows import JointFile, JointRow
+from dvrk_cmaes.joints.rows import NO_TIME, JointFile, JointRow, RowNames
 from dvrk_cmaes.joints.times import parse_time, parse_times, time_column
 
 _FIELD: Final = re.compile(r"field\.(name|position)(\d+)")
@@ -132,83 +131,80 @@ LEAST = 1_000_000
 """Bytes of a table from which on it is read by columns, if it can be."""
 
 _CHUNK = 1 << 23  # bytes that are read at once
-_NUMBERS = b"0123456789+-.eEnaN,\n"
+_PLAIN: Final = (("time",), ("frame",), ("frame", "time"))
+_UNUSUAL = (b'"', b" ", b"\t", b"\0")
+_WIDTH = 24  # bytes of a name or a time
 _LATEST = 4_000_000_000  # s; larger times may be in another unit
 _DIGITS = 9  # of a time behind the point
 
 
 def read_plain_table(path: str, data: bytes, names: Sequence[str]) -> JointFile | None:
-    """Read a table whose header is ``time`` and joints; None for any other, which `read_joint_csv` reads or refuses.
+    """Read a table whose header is ``frame``, ``time`` or both, and joints; None for any other table.
 
-    Times are exact to the nanosecond; a blank cell and ``nan`` are missing readings. ``names`` are those of the joints
-    that are accepted. InputError names the line of a reading in another unit.
+    That is read or refused by `read_joint_csv`. Times are exact to the nanosecond; a blank cell and ``nan`` are missing
+    readings. ``names`` are those of the joints that are accepted. InputError names the line of a reading in another
+    unit.
     """
     begin = data.find(b"\n") + 1
     header = [name.strip() for name in data[:begin].removeprefix(b"\xef\xbb\xbf").decode("ascii", "replace").split(",")]
-    joints = tuple(header[1:])
-    if header[0] != "time" or not joints or len({*joints}) < len(joints) or not {*joints} <= {*names}:
+    keys = tuple(name for name in header[:2] if name in _PLAIN[-1])
+    joints = tuple(header[len(keys) :])
+    if keys not in _PLAIN or not joints or len({*joints}) < len(joints) or not {*joints} <= {*names}:
         return None
     most = data.count(b"\n", begin) + 1
-    times, values, count = np.empty(most, np.int64), np.empty((most, len(joints))), 0
+    labels, times = np.empty(most, f"S{_WIDTH}"), np.full(most, NO_TIME)
+    values, count = np.empty((most, len(joints))), 0
     while begin < len(data):
         end = data.rfind(b"\n", begin, begin + _CHUNK) + 1 or len(data)
-        found = _numbers(data[begin:end].replace(b"\r\n", b"\n").rstrip(b"\n") + b"\n", len(header))
-        if found is None:
+        rows = _plain_rows(data[begin:end].replace(b"\r\n", b"\n"), keys, len(joints))
+        moments = None if rows is None else _exact_times(rows["time"]) if "time" in keys else NO_TIME
+        if rows is None or moments is None:
             return None
-        more = len(found[0])
-        times[count : count + more], values[count : count + more] = found
-        begin, count = end, count + more
-    times, values = times[:count], values[:count]
-    if not (np.diff(times) > 0).all():
+        part = slice(count, count + len(rows))
+        labels[part], times[part], values[part] = rows[keys[0]], moments, rows["values"]
+        begin, count = end, part.stop
+    labels, times, values = labels[:count], times[:count], values[:count]
+    if "time" in keys and not (np.diff(times) > 0).all():
         return None
-    read = ~np.isnan(values).all(axis=0)
-    for place in np.flatnonzero(read):
+    for place in np.flatnonzero(~np.isnan(values).all(axis=0)):
         for worst in (np.nanargmax(values[:, place]), np.nanargmin(values[:, place])):
-            joint_reading(f"{path}: line {worst + 2}", joints[place], float(values[worst, place]))
-    return JointFile(path, "joints.csv", "message", {}, joints, times, values)
+            try:
+                joint_reading(f"{path}: line {worst + 2}", joints[place], float(values[worst, place]))
+            except InputError:
+                if "frame" in keys:  # the other rows are read
+                    return None
+                raise
+    if "frame" not in keys:
+        return JointFile(path, "joints.csv", "message", {}, joints, times, values)
+    rows_of = RowNames(labels)
+    return JointFile(path, "joints.csv", "frame", rows_of, joints, times, values) if rows_of.differ else None
 
 
-def _numbers(chunk: bytes, columns: int) -> tuple[NDArray[np.int64], Float64] | None:
-    """Return times (N,), ns, and readings (N, J) of whole rows; None if a row is not of plain numbers.
-
-    The point of each time is taken for a comma: whole seconds and their digits are then exact.
-    """
-    if chunk.translate(None, _NUMBERS):
+def _plain_rows(chunk: bytes, keys: Sequence[str], joints: int) -> NDArray[np.void] | None:
+    """Return whole rows of a table: its ``keys`` as bytes, and ``values`` (N, J); None if a row is not plain."""
+    if not chunk.isascii() or any(mark in chunk for mark in _UNUSUAL):
         return None
     while b",," in chunk:
         chunk = chunk.replace(b",,", b",nan,")
-    buffer = np.frombuffer(chunk.replace(b",\n", b",nan\n"), np.uint8).copy()
-    ends, commas, points = (np.flatnonzero(buffer == ord(mark)) for mark in "\n,.")
-    starts = np.concatenate([[0], ends[:-1] + 1])
-    if len(commas) != len(ends) * (columns - 1):
+    chunk = chunk.replace(b",\n", b",nan\n")
+    kinds = [*((key, f"S{_WIDTH}") for key in keys), ("values", np.float64, (joints,))]
+    try:
+        rows = np.loadtxt(io.BytesIO(chunk), kinds, comments=None, delimiter=",", ndmin=1)
+    except ValueError:
         return None
-    between = commas.reshape(len(ends), columns - 1)
-    first = between[:, 0]
-    of_time = np.searchsorted(points, starts), np.searchsorted(points, first)
-    if (first < starts).any() or (between[:, -1] > ends).any() or (of_time[1] - of_time[0] != 1).any():
+    is_whole = len(rows) == chunk.count(b"\n") + (not chunk.endswith(b"\n"))
+    widths = [np.strings.str_len(rows[key]) for key in keys]
+    return rows if is_whole and all((own.min() > 0) & (own.max() < _WIDTH) for own in widths) else None
+
+
+def _exact_times(cells: NDArray[np.bytes_]) -> NDArray[np.int64] | None:
+    """Return times of seconds with decimals (N,), ns; None if one is written otherwise."""
+    whole, _, parts = np.strings.partition(cells, b".")
+    if not (np.strings.isdigit(whole) & np.strings.isdigit(parts) & (np.strings.str_len(parts) <= _DIGITS)).all():
         return None
-    point = points[of_time[0]]
-    digits = first - point - 1
-    for mark in "eE+-nN":
-        signs = np.flatnonzero(buffer == ord(mark))
-        if (np.searchsorted(signs, starts) != np.searchsorted(signs, first)).any():
-            return None
-    if not 1 <= digits.min() <= digits.max() <= _DIGITS or (point == starts).any():
-        return None
-    buffer[point] = buffer[ends] = ord(",")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")  # text that is no number
-        try:
-            cells = np.fromstring(buffer.tobytes(), sep=",")
-        except (DeprecationWarning, ValueError):
-            return None
-    if cells.size != len(ends) * (columns + 1):
-        return None
-    cells = cells.reshape(len(ends), columns + 1)
-    if cells[:, 0].max() > _LATEST:
-        return None
-    seconds, parts = cells[:, :2].T.astype(np.int64)
-    return seconds * NANOSECONDS + parts * 10 ** (_DIGITS - digits), cells[:, 2:]
+    seconds = whole.astype(np.int64)
+    exact = seconds * NANOSECONDS + np.strings.ljust(parts, _DIGITS, b"0").astype(np.int64)
+    return exact if seconds.max() <= _LATEST else None
 
 
 EXPECTED = "joint readings (joints.csv, or name=value,name=value)"

@@ -141,7 +141,12 @@ class ReadingSeries:
         seconds = np.array([np.nan if time is None else time for time in given])
         timed = bool((np.diff(seconds) > 0).all())
         clock = seconds - seconds[0] if timed else np.arange(len(names), dtype=np.float64)
-        series = cls._of_rows("s" if timed else "frames", names, clock, [readings[name] for name in names])
+        joints = list(dict.fromkeys(joint for row in readings.values() for joint in row))
+        values = np.array([[row.get(joint, np.nan) for joint in joints] for row in readings.values()]).reshape(
+            len(names), -1
+        )
+        frames, interval = dict(zip(names, clock.tolist(), strict=True)), float(np.median(np.diff(clock)))
+        series = cls._of_columns("s" if timed else "frames", joints, clock, values, frames, interval)
         return replace(series, origin=float(seconds[0])) if timed else series
 
     @classmethod
@@ -160,12 +165,19 @@ class ReadingSeries:
         images
             Times of the images by frame, ns, or None.
         """
-        rows = {label: file.time(label) for file in files if file.labels == "frame" for label in file.names}
-        stamps = {name: rows.get(name) if time is None else time for name, time in images.items()}
+        named = [file for file in files if file.labels == "frame"]
+        stamps = {
+            name: next((of_row for file in named if (of_row := file.time(name)) is not None), None)
+            if time is None
+            else time
+            for name, time in images.items()
+        }
         known = {name: time for name, time in stamps.items() if time is not None}
-        every = sorted({*known.values(), *(time for time in rows.values() if time is not None)})
+        every = np.unique(
+            np.concatenate([np.array([*known.values()], np.int64), *(file.known_times for file in named)])
+        )
         if known and len(known) == len(stamps) and len(every) == 1:  # one image among readings without names
-            every = sorted({time for file in files for timed in file.timed for time in timed.times.tolist()})
+            every = np.unique(np.concatenate([timed.times for file in files for timed in file.timed]))
         if len(every) > 1 and len(known) == len(stamps) and all(file.timed for file in files):
             origin = min(known.values())
             readings = [timed for file in files for timed in file.timed]
@@ -178,24 +190,31 @@ class ReadingSeries:
                 float(np.median(np.diff(every))) / NANOSECONDS,
                 origin / NANOSECONDS,
             )
-        if len(files) != 1 or len(rows) < 2:
+        if len(files) != 1 or len(named) != 1 or len(named[0].names) < 2:
             return None
-        labels = list(rows)
-        numbers = [-1 if (number := number_of(label)) is None else number for label in labels]
-        numbered = min(numbers) >= 0 and bool((np.diff(numbers) > 0).all())
-        clock = np.array(numbers if numbered else range(len(labels)), dtype=np.float64)
-        series = cls._of_rows("frames", labels, clock, [files[0].readings(k) for k in files[0].names.values()])
-        return replace(series, frames={name: series.frames[name] for name in images if name in rows}, interval=1.0)
+        (file,) = named
+        found = (-1 if (number := number_of(label)) is None else number for label in file.names)
+        numbers = np.fromiter(found, np.float64, len(file.names))
+        numbered = numbers.min() >= 0 and bool((np.diff(numbers) > 0).all())
+        clock = numbers if numbered else np.arange(len(numbers), dtype=np.float64)
+        frames = {name: float(clock[file.names[name]]) for name in images if name in file.names}
+        return cls._of_columns("frames", file.joints, clock, file.checked_values, frames, 1.0)
 
     @classmethod
-    def _of_rows(
-        cls, unit: Unit, labels: Sequence[str], clock: Float64, rows: Sequence[Mapping[str, float]]
+    def _of_columns(
+        cls,
+        unit: Unit,
+        joints: Sequence[str],
+        clock: Float64,
+        values: Float64,
+        frames: Mapping[str, float],
+        interval: float,
     ) -> ReadingSeries:
-        """Create a series from rows of readings at increasing times (M,)."""
-        times, values = {}, {}
-        for name in dict.fromkeys(name for row in rows for name in row):
-            has = np.array([name in row for row in rows])
-            times[name] = clock[has]
-            values[name] = np.array([row[name] for row in rows if name in row], dtype=np.float64)
-        interval = float(np.median(np.diff(clock)))
-        return cls(unit, times, values, dict(zip(labels, clock.tolist(), strict=True)), interval)
+        """Create a series from readings (M, J) at increasing times (M,), NaN where there is none."""
+        times, read = dict[str, Float64](), dict[str, Float64]()
+        for joint, column in zip(joints, values.T, strict=True):
+            known = ~np.isnan(column)
+            rows = slice(None) if known.all() else known  # a view takes no memory
+            if known.any():
+                times[joint], read[joint] = clock[rows], column[rows]
+        return cls(unit, times, read, frames, interval)
