@@ -21,7 +21,7 @@ from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.session_doubts import bad_predictions
 from dvrk_cmaes.calibration.session_problem import ArmSetup
 from dvrk_cmaes.calibration.session_trials import predict_from_first
-from dvrk_cmaes.calibration.together import Begun, Outcome, solved_alone
+from dvrk_cmaes.calibration.together import Begun, Outcome
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -40,7 +40,7 @@ from dvrk_cmaes.segment import segment
 from dvrk_cmaes.segment.segmentation import GUESS, Hints
 from dvrk_cmaes.segment.shaft_pairs import prompts_in
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.frame_fits import around_task, learn_task, with_outside
+from dvrk_cmaes.track.frame_fits import learn_task, with_outside
 from dvrk_cmaes.track.image_masks import pooled_colours
 from dvrk_cmaes.track.keyframes import LEAST_KEYFRAMES, choose_keyframes
 
@@ -49,8 +49,6 @@ _OVERLAP_LOSS: Final = 0.06  # below the overlap of the frames that were searche
 _REFUSED: Final = "session: "  # begins what `calibrate_session` says of a session that it cannot solve
 _SEGMENTED: Final = 60  # images, at most, that are segmented by themselves
 _FEWEST: Final = 6  # keyframes whose masks were found, with which a recording is solved
-_ENOUGH: Final = 20  # that agree; of fewer, masks are found again in the other images, and solved again
-_MORE: Final = 1.3  # times as many keyframes as agreed, from which on they are solved again
 _NO_COLOURS: Final = "no image shows enough of the instrument where it is expected"
 _KEYFRAMES: Final = 40  # of these, at most, that are solved together
 
@@ -228,8 +226,7 @@ def begin_images(
 ) -> Begun[RecordedSolution | str | None]:
     """Find masks in images of a recording, and solve those that are well in view together; or say why not.
 
-    With a calibration that is ``given``, the masks only tell the colours. Where few keyframes agree, masks are found in
-    the other images around what they expect, and all are solved again. ``hints`` hold for the first frame. Raises
+    With a calibration that is ``given``, the masks only tell the colours. ``hints`` hold for the first frame. Raises
     InputError for a file that is wrong.
     """
     files, times, names, readings = recorded.files, recorded.times, recorded.names, recorded.readings
@@ -247,30 +244,13 @@ def begin_images(
         return Begun.of(_with_colours(RecordedSolution(recorded, given, {}), work, found=found))
     work = replace(work, config=work.config.with_alike_masks())
     begun = _begin_chosen(recorded, _keyframes(recorded, found), work, _FEWEST)
-    return begun.then(partial(_with_more_masks, recorded, found, work))
-
-
-def _with_more_masks(
-    recorded: RecordedFrames,
-    found: Mapping[int, FrameData | None],
-    work: ArmSetup,
-    solved: SolvedSession | str,
-) -> RecordedSolution | str:
-    """Return a solution with colours; where few keyframes agree, one by itself with masks around what they expect."""
-    if isinstance(solved, str):
-        return solved
-    solution = _with_colours(RecordedSolution.of(recorded, solved), work, results=solved.results)
-    few = len(solved.calibration.frames) < _ENOUGH and len(recorded.rig.views) == 1
-    if isinstance(solution, RecordedSolution) and few:
-        more = _found_around(solution, found, work)
-        more_measured = recorded.measured(more.items())
-        keyframes = _keyframes(more_measured, more)
-        if len(keyframes) > _MORE * len(solved.calibration.frames):
-            again = solved_alone(_begin_chosen(more_measured, keyframes, work, _FEWEST))
-            if not isinstance(again, str) and len(again.calibration.frames) > len(solved.calibration.frames):
-                better = RecordedSolution.of(more_measured, again)
-                return _with_colours(better, work, results=again.results)
-    return solution
+    return begun.then(
+        lambda solved: (
+            solved
+            if isinstance(solved, str)
+            else _with_colours(RecordedSolution.of(recorded, solved), work, results=solved.results)
+        )
+    )
 
 
 def _keyframes(recorded: RecordedFrames, found: Mapping[int, FrameData | None]) -> list[RecordedKeyframe]:
@@ -280,19 +260,6 @@ def _keyframes(recorded: RecordedFrames, found: Mapping[int, FrameData | None]) 
         for i in recorded.keyframes(_KEYFRAMES)
         if (one := found[i]) is not None
     ]
-
-
-def _found_around(
-    solution: RecordedSolution, found: Mapping[int, FrameData | None], work: ArmSetup
-) -> dict[int, FrameData | None]:
-    """Find masks where few keyframes expect the instrument; those of the frames that agree are kept."""
-    recorded, used = solution.recorded, set(solution.calibration.frames)
-    predicted, _ = predict(recorded, solution.calibration, work.instrument.joint_names)
-    others = [i for i in found if recorded.files[i].name not in used]
-    find = partial(around_task, colours=solution.colours or {})
-    around: Sequence[FrameData | None] = work.run(find, solution.expected(predicted, others))
-    again = dict(zip(others, around, strict=True))
-    return {i: again.get(i, one) for i, one in found.items()}
 
 
 def _with_colours(

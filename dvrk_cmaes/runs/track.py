@@ -28,8 +28,6 @@ from dvrk_cmaes.io.atomic import write_json, write_text
 from dvrk_cmaes.io.encode import encoded
 from dvrk_cmaes.io.output import Output, output
 from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
-from dvrk_cmaes.joints.lag import Lag
-from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.doubts import NO_READINGS
 from dvrk_cmaes.report.track_page import PAGE
 from dvrk_cmaes.results.folder import SESSION
@@ -115,7 +113,8 @@ class TrackedArm:
         self.session, self.body, self.out, self.settings = arm.session, arm.body, out, settings
         self._notice, self._stop, self._report = notice, stop, report
         given = arm.method.session
-        self._given = given if given is None or settings.lag is None else replace(given, lag=None)
+        self._lag = None if settings.lag is None else self.clock.lag(settings.lag, 0.0)
+        self._given = given if given is None or self._lag is None else replace(given, lag=self._lag)
         self._work: ArmSetup | None = None
         self.rows: list[dict[str, Any]] = []
         self.calibration: SessionCalibration | None = None
@@ -161,16 +160,12 @@ class TrackedArm:
     def _begin_keyframes(self, stack: ExitStack) -> Begun[RecordedSolution | str | None]:
         """Use the calibration that was given, or else solve the keyframes."""
         settings, method = self.settings, self.arm.method
-        frames, series = self.frames, self.clock.series
-        lag, given = None, self._given
-        if settings.lag is not None:
-            frames, series = _less_lag(frames, series, self.clock, settings.lag)
-            lag = Lag(0.0, seconds=0.0)  # that is taken out already
+        frames, series, given = self.frames, self.clock.series, self._given
         config = replace(method.config, threads=1)
         pool = stack.enter_context(pool_of(self.body, settings.workers or usable_cores(), frames))
         pool.stop, pool.report = self._stop, self._report
         run = partial(run_with_body, pool, self.body, config)
-        work = ArmSetup(series, self.body.instrument, method.arm, config, run, self._stage, lag=lag)
+        work = ArmSetup(series, self.body.instrument, method.arm, config, run, self._stage, lag=self._lag)
         by_masks = settings.evidence == "masks"
         times = np.array([self.clock.times[files.name] for files in frames])
         recorded = RecordedFrames.of(frames, self.session.rig, series, times)
@@ -221,7 +216,7 @@ class TrackedArm:
             self._stage("fitting", len(self.frames))
             results = follow_window(found, self._work)
             self.rows = [self._row(files, result) for files, result in zip(self.frames, results, strict=True)]
-            self.calibration = _with_lag(found.calibration, self.settings.lag, self.clock)
+            self.calibration = found.calibration
             return
         if not self.settings.causal:
             self._notice(f"followed from image to image, as by --causal: {found or 'without readings'}")
@@ -250,8 +245,9 @@ class TrackedArm:
                     break
             else:
                 schedule.finish()
-        found = tracker.calibration
-        self.calibration = None if found is None else _with_lag(found, settings.lag, self.clock)
+        self.calibration, lag = tracker.calibration, tracker.lag
+        if self.calibration is not None and settings.lag is not None and lag is not None:
+            self.calibration = replace(self.calibration, lag=self.clock.lag(*lag))
 
     def _seen(self, files: FrameFiles) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
         """Return masks, images and ignored pixels of a frame by view; InputError for a file that is wrong."""
@@ -283,29 +279,3 @@ class TrackedArm:
         followed = {name: encoded(getattr(self.settings, name)) for name in names}
         digests = {files.name: frame_stamps(files) for files in self.frames}
         return manifest_of(self.arm, digests) | {"track": {**followed, "hints": encoded(self.arm.method.hints)}}
-
-
-def _less_lag(
-    frames: tuple[FrameFiles, ...], series: ReadingSeries | None, clock: TrackClock, seconds: float
-) -> tuple[tuple[FrameFiles, ...], ReadingSeries | None]:
-    """Return the frames with the readings of the times of their images less a given lag, and the series so shifted."""
-    if series is None or seconds == 0.0:
-        return frames, series
-    shift = seconds if series.unit == "s" else seconds / clock.interval
-    lag = Lag(shift / series.interval, seconds=seconds)
-    read = tuple(
-        replace(own, readings=series.of_frame(own.name, lag) if own.name in series.frames else {}) for own in frames
-    )
-    return read, replace(series, frames={name: time - shift for name, time in series.frames.items()})
-
-
-def _with_lag(calibration: SessionCalibration, given: float | None, clock: TrackClock) -> SessionCalibration:
-    """Return a calibration with the lag that was given added to the one that it has found besides."""
-    if given is None:
-        return calibration
-    found = calibration.applied_lag
-    besides = 0.0 if found is None else found.in_seconds(1 / clock.interval)
-    std = 0.0 if found is None or found.std_frames is None else found.std_frames * clock.interval
-    factor, interval = (1.0, clock.interval) if clock.unit == "s" else (1.0 / clock.interval, 1.0)
-    lag = Lag.of((given + besides) * factor, std * factor, clock.unit, interval, applied=True)
-    return replace(calibration, lag=lag)

@@ -18,7 +18,7 @@ from dvrk_cmaes.frames.images import match_size
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Bool, Float64, Image
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
-from dvrk_cmaes.joints.lag import Unit
+from dvrk_cmaes.joints.lag import Lag, Unit
 from dvrk_cmaes.joints.series import ReadingSeries
 
 EvidenceKind = Literal["masks", "images"]
@@ -47,6 +47,11 @@ class TrackClock:
     def interval(self) -> float:
         """Time between consecutive images, s."""
         return (1.0 if self.series is None else self.series.interval) * self.seconds
+
+    def lag(self, seconds: float, std: float) -> Lag:
+        """Return a lag with its standard deviation, both in s, that is taken out of the readings of the session."""
+        unit = self.seconds
+        return Lag.of(seconds / unit, std / unit, self.unit, self.interval / unit, applied=True)
 
     def readings(self) -> list[tuple[float, dict[str, float]]]:
         """Return the readings with their times, s, in order."""

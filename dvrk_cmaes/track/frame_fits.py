@@ -31,7 +31,7 @@ from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import SeenView, overlap_of, shown_views
 from dvrk_cmaes.geometry import Bool, Float64, Posed
-from dvrk_cmaes.pose.doubts import UNSUPPORTED, reasons, silhouette_without_colours
+from dvrk_cmaes.pose.doubts import reasons, silhouette_without_colours
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.views import FrameView, silhouette_of
 from dvrk_cmaes.segment.regions import FINEST
@@ -235,24 +235,6 @@ def fit_block(
         found.append(FittedFrame(stored, fitted.fit, time.perf_counter() - started, tuple(fitted.doubts)))
         before = fitted.fit.at.minus(expected.mean) if fitted.holds else None
     return found
-
-
-def around_task(
-    body: Body, config: EstimateConfig, frame: PredictedFrame, *, colours: Mapping[str, ColourModel]
-) -> FrameData | None:
-    """Find the masks of a frame around the silhouettes that are expected, by the views' colours, by name.
-
-    None where they are not supported.
-    """
-    read, expected = frame
-    data = read()
-    if data is None:
-        return None
-    data = with_outside(data)
-    drawn = [silhouette_of(expected.mean, view, body) for view in data.views]
-    views, unsupported = _masked(data.views, drawn, colours, _spread(expected, data.camera))
-    shown = any(view.given and view.shows for view in views)
-    return replace(data, views=views) if shown and unsupported < UNSUPPORTED else None
 
 
 def _masked(
