@@ -1,22 +1,16 @@
-"""Followed arms that were exchanged, recognised by their tracks and readings; a run that is killed."""
+"""Followed arms that were exchanged, recognised by their tracks and readings."""
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from helpers.track_rows import JOINTS, row
 
-from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.runs.track_outputs import exchanged_while_followed
 
 COUNT = 40
-DEMO = bundled_path("demo")
 
 
 def followed(joints: np.ndarray, gone: int, read: np.ndarray) -> Any:
@@ -48,23 +42,3 @@ def test_arms_exchanged_on_the_way_are_named_with_the_frame() -> None:
     }
     (text,) = exchanged_while_followed(exchanged)
     assert text.endswith("seem to be exchanged from frame 0012 on")
-
-
-KILLED = """
-import os, sys
-from dvrk_cmaes.cli import main
-from dvrk_cmaes.runs import track
-steps, step, track._WRITTEN_EVERY = iter(range(9)), track.Tracker.step, 2
-track.Tracker.step = lambda *given, **named: os._exit(9) if next(steps) == 4 else step(*given, **named)
-main(sys.argv[1:])
-"""
-
-
-def test_run_that_is_killed_leaves_the_rows_so_far(tmp_path: Path) -> None:
-    words = ("track", str(DEMO), "--causal", "--out", "out", "--no-video", "--no-page")
-    killed = subprocess.run(
-        [sys.executable, "-c", KILLED, *words], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert killed.returncode == 9, killed.stderr
-    lines = (tmp_path / "out" / "tracks.jsonl").read_text().splitlines()
-    assert [json.loads(line)["frame"] for line in lines] == ["0000", "0001", "0002", "0003"]
