@@ -17,10 +17,9 @@ from helpers.places import ROOT, bundled_path
 
 from dvrk_cmaes import InputError
 from dvrk_cmaes.cli.app import app
-from dvrk_cmaes.inspection import Finding, Options, inspect_path
+from dvrk_cmaes.inspection import Options, inspect_path
 
 DEMO = bundled_path("demo")
-LND = bundled_path("instruments", "lnd")
 MASK = np.zeros((480, 640), np.uint8)
 MASK[100:200, 100:164] = 255
 
@@ -61,10 +60,6 @@ def test_masks_of_a_session_that_are_empty_full_or_damaged_are_named(
     assert main(["inspect", str(DEMO)]) == 0
 
 
-def said(found: Finding) -> str:
-    return "\n".join((*found.lines, *(f"rule: {note}" for note in found.notes)))
-
-
 def message(path: Path) -> str:
     with pytest.raises(InputError) as caught:
         inspect_path(path)
@@ -101,14 +96,6 @@ def test_readings_are_shown_in_deg_and_mm(tmp_path: Path) -> None:
     assert found.notes[-1] == "a frame's readings are found by its name"
 
 
-def test_instrument_is_summarised() -> None:
-    found = inspect_path(LND / "lnd.urdf")
-    assert found.kind == "instrument (URDF)"
-    assert set(found.read["limits"]) == {"wrist_pitch", "wrist_yaw", "jaw"}
-    assert "limits: wrist_pitch from -80.00 to 80.00 deg" in said(found)
-    assert "a pair of jaws" in found.lines
-
-
 @pytest.mark.parametrize(
     ("name", "text", "kind"),
     [
@@ -128,11 +115,6 @@ def test_small_files_are_recognised_by_content(tmp_path: Path, name: str, text: 
     assert found.kind == kind
     assert found.lines
     json.dumps(found.to_dict(), allow_nan=False)
-
-
-def test_session_with_masks_of_a_data_set_alone_is_described(shared: Path) -> None:
-    found = inspect_path(shared / "reports" / "masks-json-only" / "session")
-    assert (found.kind, found.read["counts"]["masks"]) == ("session", 2)
 
 
 def test_session_is_summarised_with_unusable_frames(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -132,17 +131,6 @@ def test_package_manifest_that_is_no_file_is_passed_over(tmp_path: Path) -> None
         load_instrument(tmp_path / "x.urdf")
 
 
-@pytest.mark.parametrize("number", ["1e308", "-1e308"])
-@pytest.mark.parametrize("key", ["fx", "cx", "width"])
-def test_extreme_number_of_a_camera_is_refused_without_warnings(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], key: str, number: str
-) -> None:
-    values = {"fx": "900", "fy": "900", "cx": "320", "cy": "240", "width": "640", "height": "480"} | {key: number}
-    (tmp_path / "camera.yaml").write_text("\n".join(f"{name}: {value}" for name, value in values.items()))
-    refusal = run_command(capfd, *frame(camera=tmp_path / "camera.yaml")).refusal
-    assert refusal.startswith(f"{tmp_path / 'camera.yaml'}: ")
-
-
 def result_with_pose(folder: Path, **changes: object) -> Path:
     """Write a results folder of one frame with changed fields."""
     (folder / "frames").mkdir(parents=True)
@@ -170,15 +158,3 @@ def test_results_with_far_away_poses_are_refused_in_one_line(
     expected = "results/frames/0000.json: camera_from_root: expected a translation of at most 1000 m, got [["
     assert ran.refusal.startswith(expected)
     assert not (tmp_path / "made").exists()
-
-
-def test_golden_poses_with_far_away_tips_are_refused_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    session = Path(shutil.copytree(DEMO, tmp_path / "session"))
-    golden = json.loads((session / "golden.json").read_text())
-    golden["frames"]["0001"]["tips_camera_m"][0][2] = 1e308
-    (session / "golden.json").write_text(json.dumps(golden))
-    ran = run_command(capsys, "golden", "check", str(session))
-    assert ran.code == 2
-    assert "frame 0001: tips_camera_m[0]: expected 3 numbers of at most 1e+12 in magnitude" in ran.refusal

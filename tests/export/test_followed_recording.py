@@ -45,13 +45,6 @@ def test_tum_takes_times_and_says_where_there_are_none(capsys: pytest.CaptureFix
     assert (tracks.parent / "out" / "PSM1.tum").read_text().startswith("1.000000000 ")
 
 
-def test_base_of_the_recording_is_exported(capsys: pytest.CaptureFixture[str], tracks: Path) -> None:
-    write_json(tracks / "session.json", {"schema": 1, "camera_from_base": np.eye(4).tolist(), "frames": ["0000"]})
-    ran = run_command(capsys, "export", tracks, "--to", "dvrk", "--json")
-    assert ran.code == 0, ran.err
-    assert ran.result["base"]["camera_from_base"] == np.eye(4).tolist()
-
-
 def test_folder_is_inspected(capsys: pytest.CaptureFixture[str], tracks: Path) -> None:
     ran = run_command(capsys, "inspect", tracks)
     assert ran.code == 0, ran.err

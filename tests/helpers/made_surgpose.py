@@ -25,7 +25,7 @@ from helpers.transforms import apply, exp_rotation, moved, transform
 
 CAMERA = Camera(350, 246, 453.0, 452.5, 171.5, 120.25, (-0.05, 0.02, 0.001, -0.0005, 0.0))
 RIGHT_FROM_LEFT = transform(exp_rotation(np.array([0.002, -0.003, 0.001])), [-0.0053, 0.0001, 0.0])
-FRAMES = 10
+FRAMES = 6
 ARMS = ("PSM1", "PSM3")
 NUMBERS: Mapping[str, Sequence[int]] = {"PSM1": range(1, 8), "PSM3": range(8, 15)}
 JOINTS = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw")

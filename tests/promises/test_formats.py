@@ -18,7 +18,7 @@ import yaml
 from helpers.made_clips import write_clip
 from helpers.made_recordings import ARM, BEGIN, HEIGHT, SECOND, WIDTH, good, pixels, sweep, write_bag, write_video
 
-from dvrk_cmaes import Camera, load_instrument, prepare, read_camera, read_session
+from dvrk_cmaes import Camera, prepare, read_camera, read_session
 from promises.program import DEMO, ROOT, Ran, run
 
 FX, FY, CX, CY = 893.5, 889.25, 318.5, 241.25
@@ -302,9 +302,8 @@ def test_published_instruments_are_prepared(shared: Path) -> None:
     urdfs = sorted((shared / "instruments" / "dvrk_model").rglob("*.urdf"))
     assert len(urdfs) == 5
     for path in urdfs:
-        instrument = load_instrument(path)
-        assert prepare(instrument).instrument.name == instrument.name
-        assert inspected(path)["kind"] == "instrument (URDF)"
+        assert prepare(path).instrument.shaft_radius
+    assert inspected(urdfs[0])["kind"] == "instrument (URDF)"
 
 
 def test_tool_of_the_dvrk_limits_the_joints(shared: Path, quick: Path) -> None:

@@ -129,29 +129,3 @@ def test_problem_does_not_wait_for_more_than_one_keyframe_that_is_estimated_ahea
     prepared(made, TASKS[:4])
     assert process.problems == [{}]
     assert process.estimated == [NAMES[k] for k in (0, 1, 3)]  # the problem has estimated the other one
-
-
-def test_keyframes_that_others_replace_are_not_estimated_and_forgotten(
-    solver: tuple[SolverProcess, FakeProcess],
-) -> None:
-    made, process = solver
-    answer = kept_busy(made, process, TASKS[:3])
-    for k in range(1, 30):  # of three that are kept, the oldest one is replaced
-        made.prepare(TASKS[k : k + 3])
-    process.busy = False
-    answer.set_result({NAMES[0]: "result"})
-    prepared(made, TASKS[29:32])
-    assert process.estimated == [NAMES[0], *NAMES[29:32]]
-    assert set(made._alone) == set(NAMES[29:32])
-
-
-def test_keyframe_that_cannot_be_estimated_ahead_is_left_to_its_problem(
-    solver: tuple[SolverProcess, FakeProcess],
-) -> None:
-    made, process = solver
-    answer = kept_busy(made, process, TASKS[:1])
-    process.busy = False
-    answer.set_exception(ValueError("a fault"))
-    prepared(made, TASKS[:1])
-    assert made.begin(problem(0)).result(10).keyframes == 1
-    assert process.estimated == NAMES[:1]

@@ -13,7 +13,7 @@ import pytest
 from helpers.drawn_tools import Drawing, draw_tool
 from helpers.files import read_image, read_mask, write_image
 
-from dvrk_cmaes import InputError
+from dvrk_cmaes import Camera, InputError, read_camera
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.runs.backgrounds import learned_backgrounds, with_backgrounds
@@ -183,36 +183,47 @@ def test_frames_of_one_posture_show_no_background(tmp_path: Path) -> None:
     assert settings.notes == ("images: no background was learned: 4 images, fewer than 6",)
 
 
-def test_instrument_before_a_printed_board_is_found_with_readings_and_without(shared: Path) -> None:
-    session = read_session(shared / "frames" / "labs" / "berkeley")
-    images = [read_image(files.image) for files in session.frames[:9] if files.image is not None]
-    background = learn_background(images)
+@pytest.fixture(scope="module")
+def board(shared: Path) -> list[tuple[Drawing, dict[str, float]]]:
+    """Frames before a printed board at a third of their size, with their readings."""
+    found = []
+    for files in read_session(shared / "frames" / "labs" / "berkeley").frames[:9]:
+        assert files.image is not None
+        assert files.mask is not None
+        image, mask = read_image(files.image), read_mask(files.mask).astype(np.float32)
+        small = (cv2.resize(each, (640, 360), interpolation=cv2.INTER_AREA) for each in (image, mask))
+        found.append((Drawing(next(small), next(small) > 0.5), dict(files.readings)))
+    return found
+
+
+@pytest.fixture(scope="module")
+def board_camera(shared: Path) -> Camera:
+    return read_camera(shared / "frames" / "labs" / "berkeley" / "camera.yaml").scaled(640, 360)
+
+
+def test_instrument_before_a_printed_board_is_found_with_readings_and_without(
+    board: list[tuple[Drawing, dict[str, float]]], board_camera: Camera
+) -> None:
+    background = learn_background([drawn.image for drawn, _ in board])
     assert isinstance(background, np.ndarray)
-    for place, joints in ((1, session.frames[1].readings), (5, None)):
-        camera = session.rig.views[0].camera
-        found = segment(images[place], background=background, instrument="lnd", camera=camera, joints=joints)
-        mask = session.frames[place].mask
-        assert mask is not None
-        assert Drawing(images[place], read_mask(mask)).overlap(found.mask) > 0.8
+    for (drawn, readings), read in ((board[1], True), (board[5], False)):
+        given: dict[str, Any] = {"camera": board_camera, "joints": readings if read else None}
+        assert drawn.overlap(segment(drawn.image, background=background, instrument="lnd", **given).mask) > 0.8
 
 
 @pytest.mark.parametrize("kind", ["point", "box"])
-def test_prompt_before_a_printed_board_does_not_fill_the_picture(shared: Path, kind: str) -> None:
-    session = read_session(shared / "frames" / "labs" / "berkeley")
-    files = session.frames[7]
-    assert files.image is not None
-    assert files.mask is not None
-    mask = read_mask(files.mask)
-    v, u = np.nonzero(mask)
+def test_prompt_before_a_printed_board_does_not_fill_the_picture(
+    board: list[tuple[Drawing, dict[str, float]]], board_camera: Camera, kind: str
+) -> None:
+    drawn, readings = board[7]
+    v, u = np.nonzero(drawn.mask)
     given: dict[str, Any] = {"points": [(float(np.median(u)), float(np.median(v)))]}
     if kind == "box":
         given = {"box": (float(u.min()), float(v.min()), float(u.max()), float(v.max()))}
-    camera = session.rig.views[0].camera
-    image = read_image(files.image)
-    found = segment(image, instrument="lnd", camera=camera, joints=files.readings, **given)
+    found = segment(drawn.image, instrument="lnd", camera=board_camera, joints=readings, **given)
     assert found.mask.mean() < 0.3
-    assert found.confidence < 0.6 or Drawing(image, mask).overlap(found.mask) > 0.7
-    assert kind == "point" or Drawing(image, mask).overlap(found.mask) > 0.7
+    assert found.confidence < 0.6 or drawn.overlap(found.mask) > 0.7
+    assert kind == "point" or drawn.overlap(found.mask) > 0.7
 
 
 def test_wrong_background_is_refused() -> None:

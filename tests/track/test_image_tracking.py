@@ -69,12 +69,6 @@ def test_tips_are_followed_by_images_alone(world: MovingWorld, results: list[Tra
     assert {result.status for result in results} == {"doubtful"}  # until keyframes tell the base
 
 
-def test_first_mask_is_found_in_the_image(world: MovingWorld, images: list[np.ndarray]) -> None:
-    followed = follow(world, Tracker(world.camera, world.body, lag=0.0), range(6), images)
-    assert followed[0].searched
-    assert world.error_mm(5, followed[-1]) < 2.5
-
-
 def test_keyframes_have_masks_that_are_found_in_images(
     world: MovingWorld, first: Result, images: list[np.ndarray]
 ) -> None:
