@@ -4,41 +4,29 @@ The package's kernel is compiled by CMake, which comes as a wheel, and one depen
 for Linux, by Meson. The script runs on any Python 3 without packages.
 """
 
+import importlib.util
 import os
 import shutil
 import sys
 import sysconfig
 
-OLDEST = (3, 11)
-COMPILERS = {"CC": ("cc", "gcc", "clang"), "CXX": ("c++", "g++", "clang++")}
-"""Programs that CMake and Meson try for C and C++, unless the variable of the environment names one."""
 
-
-def missing() -> "list[str]":
-    """Return descriptions of what is missing; an empty list if nothing is."""
-    found = []
-    version = sys.version_info[:2]
-    if version < OLDEST:
-        found.append(f"Python 3.11 or later (this is {version[0]}.{version[1]}; name another one by PYTHON=...)")
-    try:
-        import ensurepip  # noqa: F401
-        import venv  # noqa: F401
-    except ImportError:
-        found.append("Python's venv (Debian: apt install python3-venv)")
-    if not all(_compiler_found(variable) for variable in COMPILERS):
-        found.append("a C++ compiler (Debian: apt install g++)")
-    if not os.path.exists(os.path.join(sysconfig.get_paths()["include"], "Python.h")):
-        found.append("Python's headers (Debian: apt install python3-dev)")
-    return found
-
-
-def _compiler_found(variable: str) -> bool:
+def has_compiler(variable: str, *usual: str) -> bool:
     """Return whether the compiler that a variable of the environment names, or else one of the usual ones, is there."""
-    named = os.environ.get(variable, "").split()[:1]
-    return any(shutil.which(name) for name in named or COMPILERS[variable])
+    return any(shutil.which(name) for name in os.environ.get(variable, "").split()[:1] or usual)
 
+
+NEEDED = {
+    "Python 3.11 or later (name one by PYTHON=...)": sys.version_info >= (3, 11),
+    "Python's venv (Debian: apt install python3-venv)": all(map(importlib.util.find_spec, ("ensurepip", "venv"))),
+    "a C++ compiler (Debian: apt install g++)": has_compiler("CC", "cc", "gcc", "clang")
+    and has_compiler("CXX", "c++", "g++", "clang++"),
+    "Python's headers (Debian: apt install python3-dev)": os.path.exists(
+        os.path.join(sysconfig.get_paths()["include"], "Python.h")
+    ),
+}
 
 if __name__ == "__main__":
-    lacking = missing()
+    lacking = "; ".join(name for name, there in NEEDED.items() if not there)
     if lacking:
-        sys.exit("cannot install: missing " + "; ".join(lacking))
+        sys.exit(f"cannot install: missing {lacking}")

@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from committed_data import refuse_in_ci
-from fixed_readings import fixed_rms_readings
+from committed_data import fixed_rms_readings, refuse_in_ci
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.ros import write_camera_info
@@ -60,20 +59,17 @@ def main() -> int:
     """Parse the options, make the session and write its files; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=OUT, metavar="DIR", help="folder to write (default: data/demo)")
-    parser.add_argument(
-        "--seed", type=int, default=SEED, metavar="N", help="seed of the random numbers (default: %(default)s)"
-    )
     arguments = parser.parse_args()
     refuse_in_ci("make_demo_session.py")
     out: Path = arguments.out
-    rng = np.random.default_rng(arguments.seed)
+    rng = np.random.default_rng(SEED)
     body = Body.prepare(load_instrument("lnd"))
     camera_from_base, truths = arm_session(body, CAMERA, rng, FRAMES)
     readings = fixed_rms_readings(truths, rng)
     names = [f"{k:04d}" for k in range(FRAMES)]
     for k, (name, truth) in enumerate(zip(names, truths, strict=True)):
         occluder = tissue_over_jaw(CAMERA, truth, rng) if k in OCCLUDED else None
-        own = np.random.default_rng([arguments.seed, REDRAWN[k]]) if k in REDRAWN else rng
+        own = np.random.default_rng([SEED, REDRAWN[k]]) if k in REDRAWN else rng
         made = simulate_segmentation(exact_mask(CAMERA, truth), own, MEDIUM, occluder)
         write_image(out / "masks" / f"{name}.png", made.mask)
         image = draw_image(CAMERA, truth, own, holes=made.holes, occluder=occluder)

@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
-from committed_data import refuse_in_ci
-from fixed_readings import fixed_rms_readings
+from committed_data import fixed_rms_readings, refuse_in_ci
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera

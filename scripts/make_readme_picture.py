@@ -15,8 +15,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from pages.gallery import EXHIBITS, FOLLOWED, gallery_page
-from pages.moving_picture import moving_picture
+from pages.gallery import EXHIBITS, FOLLOWED, gallery_page, moving_picture
 from PIL import Image
 
 from dvrk_cmaes.config import EstimateConfig

@@ -18,9 +18,8 @@ import tempfile
 from pathlib import Path
 from typing import Final
 
-from pages.api_page import api_page
-from pages.example_page import example_page
 from pages.gallery import gallery_page
+from pages.python_pages import api_page, example_page
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 CONFIG: Final = ROOT / "scripts" / "pages" / "mkdocs.yml"

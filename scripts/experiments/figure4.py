@@ -9,7 +9,7 @@ the best of the first N candidates.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -38,18 +38,8 @@ SPACES: Final = (UNIFORM, CENTRED, LOOKAT, EDGES)
 LIMITS: Final = LookAtRange(near=0.05, far=0.22)
 """Of the candidates without knowledge of the image; their distances are uniform, as in the paper."""
 COUNTS: Final = (25, 50, 100, 200, 300, 500, 700, 1000)
-
-
-@dataclass(frozen=True)
-class Size:
-    """Size of a run: number of frames, and of draws in each frame."""
-
-    frames: int
-    draws: int
-
-
-FULL: Final = Size(frames=40, draws=4)
-QUICK: Final = Size(frames=4, draws=1)
+FULL, QUICK = (40, 4), (4, 1)
+"""Sizes of a run: number of frames, and of draws in each frame."""
 
 
 def sample_uniform(count: int, limits: LookAtRange, rng: np.random.Generator, *, camera: Camera) -> Float64:
@@ -146,14 +136,14 @@ def draw(curves: dict[str, Float64]) -> Figure:
 
 def run(options: Options) -> None:
     """Run the experiment and write its files."""
-    size = QUICK if options.quick else FULL
+    frames, draws = QUICK if options.quick else FULL
     config = EstimateConfig()
-    made = make(prepare("lnd"), "medium", size.frames, 400 + options.seed, motion="free")
+    made = make(prepare("lnd"), "medium", frames, 400 + options.seed, motion="free")
     rng = np.random.default_rng(options.seed)
     found = []
     for k, frame in enumerate(made.frames, start=1):
-        found.append(best_of_first(made, frame, config, rng, size.draws))
-        progress("frames", k, size.frames)
+        found.append(best_of_first(made, frame, config, rng, draws))
+        progress("frames", k, frames)
     curves = {space: np.array([one[space] for one in found]) for space in SPACES}
     rows = [(str(count), *(_quartiles(curves[space][:, k]) for space in SPACES)) for k, count in enumerate(COUNTS)]
     write_experiment(
@@ -170,8 +160,8 @@ def run(options: Options) -> None:
         table=markdown(("N", *SPACES), rows),
         picture=draw(curves),
         note=(
-            f"Median and quartiles over {size.frames} frames (`dvrk-cmaes synth --level medium --motion free`), each "
-            f"the mean of {size.draws} draws. The loss is per pixel of the mask: an empty image scores "
+            f"Median and quartiles over {frames} frames (`dvrk-cmaes synth --level medium --motion free`), each "
+            f"the mean of {draws} draws. The loss is per pixel of the mask: an empty image scores "
             f"{config.weights.mse + config.weights.scale:g}. A root on the optical axis is not where these frames have "
             "it, and no gradient follows here as in the paper."
         ),

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -37,19 +36,8 @@ EARLIER, IN_TIME = "joints_4_frames_before.csv", ", readings in time"
 """File of readings of four frames earlier, beside those of frames whose images are four frames late; its label."""
 
 AUTHORS, OURS_REAL = "authors' poses", "ours, real frames"
-
-
-@dataclass(frozen=True)
-class Size:
-    """Size of a run: synthetic sessions of a level, their frames, and largest number of real frames (None for all)."""
-
-    sessions: int
-    frames: int
-    real: int | None
-
-
-FULL: Final = Size(sessions=4, frames=10, real=None)
-QUICK: Final = Size(sessions=1, frames=LEAST_FRAMES, real=LEAST_FRAMES)
+FULL, QUICK = (4, 10, None), (1, LEAST_FRAMES, LEAST_FRAMES)
+"""Sizes of a run: sessions of a level, their frames, and largest number of real frames (None for all)."""
 
 
 def made_rows(level: LevelName, sessions: Sequence[Made], methods: Sequence[str]) -> list[dict[str, Any]]:
@@ -224,13 +212,13 @@ def _shown(value: float | None, digits: int, factor: float = 1.0) -> str:
 
 def run(options: Options) -> None:
     """Run the experiment and write its files."""
-    size = QUICK if options.quick else FULL
+    count, frames, real = QUICK if options.quick else FULL
     body = prepare("lnd")
     rows = []
     for level in LEVELS:
-        sessions = [make(body, level, size.frames, 100 + options.seed + k) for k in range(size.sessions)]
+        sessions = [make(body, level, frames, 100 + options.seed + k) for k in range(count)]
         rows += made_rows(level, sessions, METHODS)
-    rows += real_rows(options.shared, size.real)
+    rows += real_rows(options.shared, real)
     write_experiment(
         options,
         "table1",
@@ -240,7 +228,7 @@ def run(options: Options) -> None:
         table=as_table(rows),
         picture=draw(rows),
         note=(
-            f"Made frames: medians over {size.sessions} sessions of {size.frames} frames (`dvrk-cmaes synth "
+            f"Made frames: medians over {count} sessions of {frames} frames (`dvrk-cmaes synth "
             "--motion rcm`). Sigma is the standard deviation of the axes' distances from x*, the paper's figure; rms "
             "does not forgive a constant distance. PnP sees all painted markers that its detector finds, those on the "
             "far side too, and no false ones; tips and shaft edges are what keypoints alone can do. The paper's own "

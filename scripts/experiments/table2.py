@@ -7,7 +7,6 @@ alone. No robot is used: picking.py states the model of the readings, the cables
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -48,18 +47,8 @@ TABLE_TWO: Final = {
 
 _DEPTHS: Final = (0.05, 0.20)  # m, of the grasp in the camera
 _ATTEMPTS: Final = 60
-
-
-@dataclass(frozen=True)
-class Size:
-    """Size of a run: trials of each cell, each from a different frame, and frames of a session."""
-
-    trials: int
-    frames: int
-
-
-FULL: Final = Size(trials=200, frames=10)
-QUICK: Final = Size(trials=4, frames=4)
+FULL, QUICK = (200, 10), (4, 4)
+"""Sizes of a run: trials of each cell, each from a different frame, and frames of a session."""
 
 
 def start_of(made: Made, frame: SyntheticFrame) -> Start:
@@ -219,18 +208,18 @@ def draw(rows: list[dict[str, Any]]) -> Figure:
 
 def run(options: Options) -> None:
     """Run the experiment and write its files."""
-    size = QUICK if options.quick else FULL
+    trials, frames = QUICK if options.quick else FULL
     body, config = prepare("lnd"), EstimateConfig()
     gripper = Gripper(body.instrument)
     rng = np.random.default_rng([options.seed, 2])
     outcomes: list[dict[tuple[str, float, str], tuple[bool, float]]] = []
     seed = 700 + options.seed
-    while len(outcomes) < size.trials:
-        made = make(body, "medium", min(size.frames, size.trials - len(outcomes)), seed)
+    while len(outcomes) < trials:
+        made = make(body, "medium", min(frames, trials - len(outcomes)), seed)
         for frame in made.frames:
             start = start_of(made, frame)
             outcomes.append(try_all(gripper, start, calibrations(made, frame, config), rng))
-            progress("trials", len(outcomes), size.trials)
+            progress("trials", len(outcomes), trials)
         seed += 1
     rows = rows_of(outcomes)
     write_experiment(
@@ -242,7 +231,7 @@ def run(options: Options) -> None:
         table=as_table(rows),
         picture=draw(rows),
         note=(
-            f"**A simulation, not a robot.** {size.trials} trials a cell, each from a frame of its own, {size.frames} "
+            f"**A simulation, not a robot.** {trials} trials a cell, each from a frame of its own, {frames} "
             "frames a session (`dvrk-cmaes synth --level medium --motion rcm`); 95 % intervals by Wilson. The truth as "
             "the calibration fails, too: the roll's bias goes into the base, and cables stretch. The share of a "
             f"cable-driven joint's motion that is lost is {STRETCH:.2f}, from published errors of wrist pitch and yaw "

@@ -1,4 +1,4 @@
-"""The gallery: commands that are run when the site is built, their pictures and their pages."""
+"""The gallery: commands that are run when the site is built, their pictures, also moving ones, and their pages."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ from pathlib import Path
 from time import monotonic
 from typing import Final
 
+import cv2
+
 from dvrk_cmaes.io.bundled import bundled_path
-from pages.moving_picture import moving_picture
+from dvrk_cmaes.io.video_writer import quiet_ffmpeg
 
 _INTRODUCTION: Final = """\
 # Gallery
@@ -95,18 +97,6 @@ EXHIBITS: Final = (
         (("report.html", "the report of the calibration"),),
     ),
     Exhibit(
-        "Two sets of results",
-        "The frames by themselves and those of the calibration, compared with the truth.",
-        (
-            "batch data/demo --out results",
-            "calibrate data/demo --results results --out calibrated",
-            "compare data/demo/golden.json results calibrated --out differences",
-        ),
-        "differences",
-        (),
-        (("compare.html", "the differences by frame and in sum"),),
-    ),
-    Exhibit(
         "A followed recording",
         "The silhouette of the pose over the images; the strip has the status. The report shows joints, offsets and "
         "tips over time, and where the pose is doubtful.",
@@ -128,13 +118,6 @@ EXHIBITS: Final = (
         ),
         "hidden",
         ((FOLLOWED, "A followed instrument that others hide, drawn over the images of the recording"),),
-    ),
-    Exhibit(
-        "Both eyes",
-        "Both views of a stereo endoscope tell one pose.",
-        ("synth stereo --stereo --level easy --frames 1 --seed 4", "batch stereo --out eyes"),
-        "eyes",
-        (("overlays/0000.jpg", "The pose of one frame in the left and the right view"),),
     ),
     Exhibit(
         "Two arms",
@@ -203,3 +186,32 @@ def _printed(command: str) -> str:
     """Return a command as a block of code, on several lines if it is long."""
     lines = textwrap.wrap(command, 84, break_long_words=False, break_on_hyphens=False)
     return " \\\n".join([f"    {lines[0]}", *(f"        {line}" for line in lines[1:])])
+
+
+def moving_picture(tracks: Path, *, width: int, milliseconds: int, quality: int) -> bytes:
+    """Encode tracks.mp4 of a folder that `track` wrote as an animated WebP that repeats.
+
+    Parameters
+    ----------
+    tracks
+        The folder.
+    width
+        Width of the picture, px.
+    milliseconds
+        Time for which each frame is shown.
+    quality
+        Quality of the WebP, 0 to 100.
+    """
+    quiet_ffmpeg()
+    capture, images = cv2.VideoCapture(str(tracks / "tracks.mp4")), []
+    while True:
+        read, image = capture.read()
+        if not read:
+            break
+        size = (width, round(image.shape[0] * width / image.shape[1]))
+        images.append(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+    animation = cv2.Animation()
+    animation.frames, animation.durations, animation.loop_count = images, [milliseconds] * len(images), 0
+    written, data = cv2.imencodeanimation(".webp", animation, [cv2.IMWRITE_WEBP_QUALITY, quality])
+    assert written
+    return bytes(data.tobytes())

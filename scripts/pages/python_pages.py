@@ -1,13 +1,15 @@
-"""The page of the public names of `dvrk_cmaes`, whose text mkdocstrings takes from the docstrings."""
+"""The pages on Python: the public names of `dvrk_cmaes`, by mkdocstrings, and the scripts of scripts/examples."""
 
 from __future__ import annotations
 
+import ast
 import inspect
+from pathlib import Path
 from typing import Any, Final
 
 import dvrk_cmaes
 
-_INTRODUCTION: Final = """\
+_NAMES: Final = """\
 # Python
 
 The names of `dvrk_cmaes`. They are imported from there, are stable as [described](data/reference/stability.md), and
@@ -15,6 +17,11 @@ take and return metres, radians and pixels. The [examples](examples.md) are a pl
 [conventions](data/reference/conventions.md) say what frames and joints are. `__version__` is the package's version.
 """
 _TITLES: Final = ("Functions", "Classes", "Settings", "Errors")
+_EXAMPLES: Final = """\
+# Examples in Python
+
+Each of these is a script in `scripts/examples` of the repository, and needs public names alone.
+"""
 
 
 def api_page() -> str:
@@ -26,7 +33,7 @@ def api_page() -> str:
         )
         for title in _TITLES
     ]
-    return "\n\n".join([_INTRODUCTION, *sections]) + "\n"
+    return "\n\n".join([_NAMES, *sections]) + "\n"
 
 
 def _kind(value: Any) -> str:
@@ -36,3 +43,15 @@ def _kind(value: Any) -> str:
     if issubclass(value, Exception):
         return "Errors"
     return "Settings" if value.__module__ == "dvrk_cmaes.config" else "Classes"
+
+
+def example_page(folder: Path) -> str:
+    """Return the page in Markdown: the first sentence of each script, and its text."""
+    return "\n".join([_EXAMPLES, *(_example(path) for path in sorted(folder.glob("*.py")))])
+
+
+def _example(path: Path) -> str:
+    text = path.read_text(encoding="utf-8")
+    said = (ast.get_docstring(ast.parse(text)) or "").split("\n\n")[0]
+    title = path.stem.replace("_", " ").capitalize()
+    return f'## {title}\n\n{said}\n\n```python title="scripts/examples/{path.name}"\n{text}```\n'
