@@ -294,7 +294,7 @@ def _observations(session: CableSession, active: Bool) -> Observations:
     return Observations(times[order], terms[order], session.information[order], session.vector[order])
 
 
-_ROWS = {"reference", "narrow", "narrow_std", "width", "wander", "seconds", "noise", "offset"}
+_ROWS = {"reference", "wander", "noise", "offset"}
 _TABLES = {"coupling", "coupling_std", "play", "play_std", "std"}
 _CERTAIN = 2.0  # standard deviations beyond which a coefficient is described in words,
 _LEAST_COUPLING = 0.03  # if it is at least this, rad a rad,
@@ -322,8 +322,8 @@ class SessionCables(Document):
 
     parts : what is used besides the offsets: coupling, play, wander. gain : logarithm of how many times more likely the
     session is with them. reference : readings at which coupling adds nothing.
-    coupling, play, narrow, width, wander, seconds, noise : as in `joints.cables.CableModel`; those of parts that are
-    not used are zero. coupling_std, play_std, narrow_std : their standard deviations.
+    coupling, play, wander, noise : as in `joints.cables.CableModel`, play with what the joint's own narrow band adds;
+    those of parts that are not used are zero. coupling_std, play_std : their standard deviations.
     alone : for frames without an order.
     """
 
@@ -335,11 +335,7 @@ class SessionCables(Document):
     coupling_std: Table
     play: Table
     play_std: Table
-    narrow: Row
-    narrow_std: Row
-    width: Row
     wander: Row
-    seconds: Row
     noise: Row
     alone: CablesAlone
 
@@ -355,9 +351,10 @@ class SessionCables(Document):
         if fits is None or not fits[0].parts:
             return None
         fit, alone = fits
-        count, prior = len(fit.names), cable_prior(fit.names).model
+        count = len(fit.names)
         coupling, play, narrow = np.split(fit.coefficients, [count, 2 * count], axis=1)
         coupling_std, play_std, narrow_std = np.split(fit.std, [count, 2 * count], axis=1)
+        own = NARROW * np.eye(count)
         return cls(
             parts=fit.parts,
             gain=rounded(fit.gain),
@@ -365,13 +362,9 @@ class SessionCables(Document):
             reference=_row(fit.reference),
             coupling=_table(coupling),
             coupling_std=_table(coupling_std),
-            play=_table(play),
-            play_std=_table(play_std),
-            narrow=_row(narrow[:, 0]),
-            narrow_std=_row(narrow_std[:, 0]),
-            width=_row(prior.width),
+            play=_table(play + own * narrow),
+            play_std=_table(np.hypot(play_std, own * narrow_std)),
             wander=_row(fit.wander),
-            seconds=_row(prior.seconds),
             noise=_row(fit.noise),
             alone=CablesAlone(
                 _row(alone.offset),
@@ -393,8 +386,6 @@ class SessionCables(Document):
             for name in _TABLES & vars(owner).keys():
                 if len(table := getattr(owner, name)) != count or any(len(row) != count for row in table):
                     raise refused(where, f"cables.{name}", f"{count} rows of {count} numbers", table)
-        if min(self.seconds) <= 0:
-            raise refused(where, "cables.seconds", "numbers above 0", self.seconds)
 
     def correction_alone(self, readings: Float64) -> Correction:
         """Return the corrections of frames of which nothing is known but their readings (N, C), rad.
@@ -413,9 +404,8 @@ class SessionCables(Document):
         One about which the session says no more than its prior, as of readings that never change, is not.
         """
         count, texts = len(self.joints), list[tuple[float, str]]()
-        spread, width = cable_prior(self.joints).spread, np.array(self.width)
-        play = np.array(self.play) + NARROW * np.diag(self.narrow)
-        play_std = np.hypot(self.play_std, NARROW * np.diag(self.narrow_std))
+        prior = cable_prior(self.joints)
+        spread, width, play, play_std = prior.spread, prior.model.width, np.array(self.play), np.array(self.play_std)
         usual = np.hypot(spread[:, count:-1], NARROW * np.diag(spread[:, -1]))
         for j, k in _clear(np.array(self.coupling), np.array(self.coupling_std), spread[:, :count], _LEAST_COUPLING):
             acts = f"{self.joints[k]} drags {self.joints[j]}" if j != k else f"{self.joints[j]} is scaled"
@@ -430,7 +420,7 @@ class SessionCables(Document):
         if "wander" in self.parts:
             each = ", ".join(
                 f"{name} {np.degrees(std):.1f} deg over {time:.0f} s"
-                for name, std, time in zip(self.joints, self.wander, self.seconds, strict=True)
+                for name, std, time in zip(self.joints, self.wander, prior.model.seconds, strict=True)
             )
             yield f"wander: {each}"
 

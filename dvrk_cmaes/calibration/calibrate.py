@@ -206,7 +206,6 @@ def _stated(
         camera=check.camera,
         camera_errors=camera_errors,
         endoscope=endoscope,
-        shaft=check.shaft,
         blocks=dict(check.blocks),
         masks=arm.masks,
         rig=arm.rig,

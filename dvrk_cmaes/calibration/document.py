@@ -12,7 +12,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.blocks import BASE_AXES, OBSERVABLE, OUTER_OFFSETS, Calibration, FoundBlock
 from dvrk_cmaes.calibration.cables import SessionCables
-from dvrk_cmaes.calibration.endoscope import InFrames
+from dvrk_cmaes.calibration.endoscope import Endoscope
 from dvrk_cmaes.calibration.lag import LagCurve
 from dvrk_cmaes.calibration.model import (
     Correction,
@@ -25,7 +25,6 @@ from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.calibration.session_endoscope import UNDETERMINED_ROTATION, SessionEndoscope
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation, turns_of
-from dvrk_cmaes.calibration.session_shaft import SessionShaft
 from dvrk_cmaes.calibration.solve import Solved
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.rig import V, ViewDocument, turned_views
@@ -90,7 +89,6 @@ class SessionCalibration:
     camera : change of the camera that the frames fit; None if it was not tested.
     camera_errors : (6, 6) covariance of camera and size with which the session was solved, by file and frames, in the
     order of `PARAMETERS`.
-    shaft : the radius of the shaft that the frames fit; None if it was not tested.
     blocks : what was found of further unknowns that all frames share, by block; the solution leaves them at zero.
     masks : the margin and the other errors that all masks share; None if they were not estimated.
     rig : what the further views differ in from the rig's file, of those that were tested.
@@ -119,7 +117,6 @@ class SessionCalibration:
     lag_curve: LagCurve | None = None
     cables: SessionCables | None = None
     camera: SessionCamera | None = None
-    shaft: SessionShaft | None = None
     blocks: dict[str, FoundBlock] = field(default_factory=dict)
     masks: SessionMasks | None = None
     camera_errors: SquareOfSix = field(
@@ -285,10 +282,10 @@ class SessionCalibration:
         """
         if self.endoscope is None:
             return self
-        found = self.endoscope.in_frames(self.camera_from_base, ecm_readings([readings]), [time], [frame])
-        if isinstance(found, str):
-            return found
-        endoscope, values = found
+        endoscope = self.endoscope.in_frames(self.camera_from_base, ecm_readings([readings]), [time], [frame])
+        if isinstance(endoscope, str):
+            return endoscope
+        values = endoscope.start
         count, covariance = len(self.axes), self.endoscope.covariance
         move = np.zeros((count, len(covariance)))
         move[:, :count] = np.eye(count)
@@ -311,7 +308,7 @@ class SessionCalibration:
         return self.covariance_given_camera if self.endoscope is None else self.endoscope.covariance
 
     def model(
-        self, outer: Float64, joints: Float64, joint_names: tuple[str, ...], endoscope: InFrames | None = None
+        self, outer: Float64, joints: Float64, joint_names: tuple[str, ...], endoscope: Endoscope | None = None
     ) -> tuple[SessionModel, Calibration]:
         """Return the session model for readings (N, 4) and (N, J) of other frames, and the calibration.
 
@@ -350,10 +347,9 @@ class SessionCalibration:
             roll_offset=self.roll_offset,
             inflation=self._elsewhere(joints, joint_names, np.array(values[4:-2])),
             correction=correction,
-            endoscope=None if endoscope is None else endoscope[0],
+            endoscope=endoscope,
         )
-        found = model.calibration(self.camera_from_base, offsets)
-        return model, found if endoscope is None else found.with_blocks(endoscope=endoscope[1])
+        return model, model.calibration(self.camera_from_base, offsets)
 
     def _elsewhere(self, joints: Float64, joint_names: Sequence[str], std: Float64) -> Float64:
         """Return the factors (N, 1 + J) on the standard deviations ``std`` (J,), rad, of roll and joints (N, J).

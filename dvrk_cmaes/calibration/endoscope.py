@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,10 +122,6 @@ class _Moving(ABC):
     loose: Float64
     shared: bool = field(default=False, kw_only=True)
 
-    def with_start(self, start: EndoscopeValues, loose: Float64, *, shared: bool = False) -> Self:
-        """Return the endoscope with other values from which estimations start."""
-        return replace(self, start=start, loose=loose, shared=shared)
-
     @property
     def block(self) -> EndoscopeBlock:
         """The block of the M unknowns."""
@@ -218,7 +214,7 @@ class Steered(_Moving):
 
     def at(self, read: Float64) -> Steered:
         """Return the endoscope with other readings (N, 4) of the frames; a frame without has those of its neighbour."""
-        return Steered(self.start, self.loose, filled(read), self.places, shared=self.shared)
+        return replace(self, read=filled(read))
 
     def _tips(self, values: EndoscopeValues) -> tuple[Float64, Float64]:
         """Compute the tip (N, 4, 4) in the frame of the ECM in each frame, m, and its Jacobian (N, 6, 4)."""
@@ -292,9 +288,8 @@ class Steered(_Moving):
             for tilt in _TILTS
             for turn in _TURNS
         ]
-        return [
-            self.with_start(replace(self.start, poses=pose[None], expected=pose[None]), loose.copy()) for pose in poses
-        ]
+        starts = [replace(self.start, poses=pose[None], expected=pose[None]) for pose in poses]
+        return [replace(self, start=start, loose=loose) for start in starts]
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -350,8 +345,6 @@ class Pieces(_Moving):
 
 Endoscope = Steered | Pieces
 """Where an endoscope that moves is in some frames."""
-InFrames = tuple[Endoscope, EndoscopeValues]
-"""The same, and the values of its unknowns."""
 
 
 def find_places(read: Float64) -> tuple[Place, ...]:

@@ -55,7 +55,7 @@ def find_hand_eye(model: SessionModel, modes: Sequence[Sequence[Mode]], steered:
         solution = solve_with_modes(of_few, modes, consensus.calibration)
         values = solution.calibration.endoscope
         assert values is not None
-        there = offered.with_start(values, _FOUND * offered.loose)
+        there = replace(offered, start=values, loose=_FOUND * offered.loose)
         of_few = replace(model, endoscope=there.subset(few))
         again = find_consensus(of_few, modes, hypothesis_frames=_HYPOTHESIS_FRAMES)
         refined.append((float(again.cost.mean()), there))

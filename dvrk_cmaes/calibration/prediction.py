@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.endoscope import InFrames
+from dvrk_cmaes.calibration.endoscope import Endoscope
 from dvrk_cmaes.calibration.frame_fit import OF_NEW_FRAME, OwnEstimate, fit_frame
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_masks import covariance_of_margin
@@ -40,25 +40,20 @@ keyframes before an image expect; the arm was 0.5 to 1.
 _UNREAD_M, _UNREAD_RAD = 0.01, 0.2  # standard deviations of the arm's motion where its readings are missing or frozen
 
 
-def endoscope_at(calibration: SessionCalibration, time: float | None, ecm: Float64 | None) -> InFrames | None:
-    """Return where an endoscope is in one image; None where it stands still, or its place is not known.
+def endoscope_in(
+    calibration: SessionCalibration, times: Sequence[float | None], names: Sequence[str], ecm: Float64 | None
+) -> Endoscope | None:
+    """Return where an endoscope is in N images; None where it stands still, or its place is not known.
 
     Parameters
     ----------
     calibration
         The calibration.
-    time
-        Time of the image, s, by which the place of an endoscope that is not read is found.
-    ecm : (4,)
+    times, names
+        Times, s, and names of the images, by which the place of an endoscope that is not read is found.
+    ecm : (N, 4)
         Readings of the endoscope's arm, rad and m; None without.
     """
-    return endoscope_in(calibration, [time], [""], None if ecm is None else ecm[None])
-
-
-def endoscope_in(
-    calibration: SessionCalibration, times: Sequence[float | None], names: Sequence[str], ecm: Float64 | None
-) -> InFrames | None:
-    """Return where an endoscope is in N images, as `endoscope_at`; ``ecm`` (N, 4) are readings, None without."""
     if calibration.endoscope is None:
         return None
     found = calibration.endoscope.in_frames(calibration.camera_from_base, ecm, times, names)
@@ -98,7 +93,7 @@ class Prediction:
         errors: Float64 | None = None,
         late: Float64 | None = None,
         wrist: float = 1.0,
-        endoscope: InFrames | None = None,
+        endoscope: Endoscope | None = None,
     ) -> Prediction:
         """Predict N images.
 

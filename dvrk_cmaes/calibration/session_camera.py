@@ -28,7 +28,7 @@ from dvrk_cmaes.calibration.linearise import (
 )
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.session_masks import MarginEffect
-from dvrk_cmaes.calibration.session_shaft import SIZES, SessionShaft, usual_sizes
+from dvrk_cmaes.calibration.session_shaft import SIZES, found_sizes, square_of_whole, usual_sizes
 from dvrk_cmaes.calibration.solve import FrameFits, inverse_information
 from dvrk_cmaes.calibration.stored_frame import changed
 from dvrk_cmaes.calibration.variances import solve_with_variances
@@ -273,17 +273,15 @@ class CameraCheck:
 
     ``camera`` is None where the session does not test it, and ``undetermined`` then says why. ``covariance`` (K, K) is
     the mean square of the calibration's errors, in the order of `SessionModel.axes`, that errors of the camera cause.
-    ``of_margin`` and ``shaft`` are what a margin of the masks does, and what the outlines show of the radius of the
-    shaft, with the camera of the file; None where the camera cannot be changed. ``blocks`` are what
-    is found of those that state themselves (`SeenBlock.stated`). ``square`` (3, 3)
-    is the mean square of what is wrong with the camera that was used; None where it is not tested.
+    ``of_margin`` is what a margin of the masks does with the camera of the file; None where the camera cannot be
+    changed. ``blocks`` are what is found of the sizes, and of those that state themselves (`SeenBlock.stated`).
+    ``square`` (3, 3) is the mean square of what is wrong with the camera that was used; None where it is not tested.
     """
 
     camera: SessionCamera | None
     undetermined: str
     covariance: Float64
     of_margin: MarginEffect | None = None
-    shaft: SessionShaft | None = None
     blocks: Mapping[str, FoundBlock] = field(default_factory=dict)
     square: Float64 | None = None
 
@@ -301,8 +299,8 @@ def errors_of_camera(check: CameraCheck, camera: Camera, config: CameraConfig) -
     if change is not None and check.square is not None:
         to_relative = np.array([1.0, *(2 * [camera.width / change.width / camera.fx])])
         errors[np.ix_(TESTED, TESTED)] = check.square * np.outer(to_relative, to_relative)
-    if check.shaft is not None:
-        errors[-1, -1] = check.shaft.square(config.instrument_size_percent / 100)
+    if SIZES in check.blocks:
+        errors[-1, -1] = square_of_whole(check.blocks[SIZES], config.instrument_size_percent / 100)
     return errors
 
 
@@ -396,13 +394,14 @@ def _checked(
     calibration, file = there.solution.calibration, file_deviations(outlines.camera, config.camera)
     own, count = calibration.place(CAMERA), calibration.own
     change, covariance, known = there.value(CAMERA), there.covariance[own, own], {CAMERA: file}
-    of_margin, shaft = None, None
+    of_margin, sizes = None, dict[str, FoundBlock]()
     if any(block.name == SIZES for block in outlines.blocks):
         known[SIZES] = usual_sizes(config.camera)
         values, spread = there.with_std({**known, CAMERA: _WEAK_STD})
-        change, covariance, shaft = values[own], spread[own, own], SessionShaft.of(first, known)
+        change, covariance, sizes = values[own], spread[own, own], {SIZES: found_sizes(first, known)}
         of_margin = MarginEffect.of(first)
     blocks, of_blocks = _stated(there, outlines.blocks, known, config.session.shared_errors)
+    blocks = sizes | blocks
     covariance = config.session.shared_errors**2 * covariance
     change = change if applied is None else applied
     camera = SessionCamera.of(change, covariance, file, outlines.camera.width, applied=applied is not None)
@@ -416,8 +415,8 @@ def _checked(
     moves = -inverse_information(there.information[:count, :count]) @ there.information[:count, own]
     of_camera = moves @ square @ moves.T + of_blocks
     if reason is not None:
-        return CameraCheck(None, reason, of_camera, of_margin, shaft, blocks)
-    return CameraCheck(camera, "", of_camera, of_margin, shaft, blocks, square)
+        return CameraCheck(None, reason, of_camera, of_margin, blocks)
+    return CameraCheck(camera, "", of_camera, of_margin, blocks, square)
 
 
 def _mean_square(change: Float64, covariance: Float64, file: Float64) -> Float64:

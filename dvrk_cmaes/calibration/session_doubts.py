@@ -14,7 +14,7 @@ from dvrk_cmaes.calibration.session_camera import IMPLAUSIBLE
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.camera.critical import known_mistakes
 from dvrk_cmaes.config import SessionConfig
-from dvrk_cmaes.pose.doubts import DISAGREES, OTHER_SIZES, reasons
+from dvrk_cmaes.pose.doubts import DISAGREES, reasons
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackResult
 
@@ -74,7 +74,7 @@ def doubts_of(
         Whether the mask of each frame that was used lacks the end of a jaw.
     """
     settings = SessionConfig() if config is None else config
-    camera, shaft = calibration.camera, calibration.shaft
+    camera = calibration.camera
     by_file = camera is None or not camera.applied
     contradictions = camera.contradictions() if camera is not None and by_file else []
     return (
@@ -83,7 +83,6 @@ def doubts_of(
             few_frames_agree(calibration),
             few_frames_read(calibration),
         ),
-        *([] if shaft is None else [f"{text}: {OTHER_SIZES}" for text in shaft.contradictions()]),
         *(block.doubt for block in calibration.blocks.values() if block.doubt),
         *([] if calibration.masks is None else masks_off(calibration.masks, pixel_scale)),
         *known_mistakes(calibration.remarks if by_file else ()),

@@ -11,8 +11,8 @@ import numpy as np
 from dvrk_cmaes.calibration.blocks import Calibration
 from dvrk_cmaes.calibration.endoscope import (
     OFFSET_STD,
+    Endoscope,
     EndoscopeValues,
-    InFrames,
     Pieces,
     Place,
     Steered,
@@ -185,8 +185,8 @@ class SessionEndoscope(Document):
 
     def in_frames(
         self, camera_from_base: Float64, read: Float64 | None, times: Sequence[float | None], names: Sequence[str]
-    ) -> InFrames | str:
-        """Return the endoscope in N frames and the values of its unknowns, or why it is not known in one of them.
+    ) -> Endoscope | str:
+        """Return the endoscope in N frames, with its unknowns as values of the start, or why it is not known in one.
 
         Parameters
         ----------
@@ -206,12 +206,12 @@ class SessionEndoscope(Document):
             offsets = np.array([self.offsets[name] for name in ECM_JOINTS])
             steered = EndoscopeValues.read(self.tip_from_camera, self.expected, offsets, errors)
             places = tuple(Place(np.array(one.readings), np.array(one.within)) for one in self.places)
-            return Steered(steered, steered.std, filled(read), places), steered
+            return Steered(steered, steered.std, filled(read), places)
         of_place = {one.place: one.camera_from_base for one in self.bases}
         moves = [of_place[k] @ inverse(camera_from_base) for k in range(1, self.last_place + 1)]
         values = EndoscopeValues.of_pieces(np.array(moves).reshape(-1, 4, 4))
         piece = [self.place_at(time, name) for time, name in zip(times, names, strict=True)]
-        return Pieces(values, values.std, np.array(piece, np.intp)), values
+        return Pieces(values, values.std, np.array(piece, np.intp))
 
     def place_at(self, time: float | None, name: str) -> int:
         """Return the place of the piece nearest to a time, s, or where no times are known, to a frame's name."""

@@ -7,18 +7,17 @@ so a session tells both apart, beside the focal length of a camera whose file is
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.blocks import CLEAR, OutlineOfView, SeenBlock, ViewAsSeen
+from dvrk_cmaes.calibration.blocks import CLEAR, FoundBlock, OutlineOfView, SeenBlock, ViewAsSeen
 from dvrk_cmaes.calibration.linearise import Linearised
 from dvrk_cmaes.config import CameraConfig
 from dvrk_cmaes.geometry import Float64, Posed, apply
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.io.encode import Document
-from dvrk_cmaes.io.typed_document import Number
+from dvrk_cmaes.pose.doubts import OTHER_SIZES
 from dvrk_cmaes.pose.terms.shared_errors import NEAREST
 from dvrk_cmaes.silhouette import OutlinePoints
 
@@ -110,48 +109,36 @@ def _stretched(points: Float64, start: Float64, end: Float64) -> Float64:
     return np.clip(share, 0.0, 1.0)[:, None] * along
 
 
-@dataclass(frozen=True)
-class SessionShaft(Document):
-    """The factors on the instrument's sizes that a session's frames fit, and their standard deviations.
+def found_sizes(there: Linearised, known: Mapping[str, Float64 | float]) -> FoundBlock:
+    """State the sizes that the frames fit: radius, wrist and jaws of an instrument whose whole is known, and the whole.
 
-    ``radius_scale`` is that on the radius of its shaft, ``wrist_scale`` that on the length from the axis of its wrist
-    to that of its jaws, ``jaws_scale`` that on the length of its jaws, all in an instrument whose whole is known, and
-    ``whole_scale`` that on all of it, in proportion.
+    Parameters
+    ----------
+    there
+        Outlines that were linearised in the sizes.
+    known
+        Standard deviations of priors, also of the sizes, by block.
     """
+    place, of_whole = there.solution.calibration.place(SIZES), np.array([name == "whole" for name in _LEAST])
+    values, std = np.zeros(len(_LEAST)), np.zeros(len(_LEAST))
+    for asked in (~of_whole, of_whole):
+        found, covariance = there.with_std({**known, SIZES: np.where(asked, _WEAK_STD, known[SIZES])})
+        values[asked], std[asked] = found[place][asked], np.sqrt(np.diag(covariance)[place])[asked]
+    parts, doubts = [], []
+    for (part, least), value, spread in zip(_LEAST.items(), values.tolist(), std.tolist(), strict=True):
+        (what, more, less), off, own = _TEXTS[part], 100 * np.expm1(value), 100 * np.exp(value) * spread
+        parts.append(f"{part} {off:+z.1f} % (std {own:.1f})")
+        if abs(off) > max(100 * least, CLEAR * own):
+            than = more if off > 0 else less
+            doubts.append(f"{what} {abs(off):.0f} % (std {own:.0f}) {than} than the instrument's")
+    text, doubt = f"sizes of the instrument: {', '.join(parts)}", f"{' and '.join(doubts)}: {OTHER_SIZES}"
+    beforehand = (_WEAK_STD,) * len(_LEAST)
+    found_there = tuple(values.tolist()), tuple(std.tolist())
+    return FoundBlock(tuple(_LEAST), *found_there, beforehand, text, doubt if doubts else "")
 
-    radius_scale: Number
-    std_radius_scale: Number
-    wrist_scale: Number = 1.0
-    std_wrist_scale: Number = _WEAK_STD
-    jaws_scale: Number = 1.0
-    std_jaws_scale: Number = _WEAK_STD
-    whole_scale: Number = 1.0
-    std_whole_scale: Number = _WEAK_STD
 
-    @classmethod
-    def of(cls, there: Linearised, known: Mapping[str, Float64 | float]) -> SessionShaft:
-        """Estimate the factors from outlines that were linearised in them; ``known`` are priors, also of the sizes."""
-        place = there.solution.calibration.place(SIZES)
-        of_whole = np.array([name == "whole" for name in _LEAST])
-        pairs = []
-        for asked in (~of_whole, of_whole):
-            values, covariance = there.with_std({**known, SIZES: np.where(asked, _WEAK_STD, known[SIZES])})
-            scales = np.exp(values[place])
-            pairs += [*zip(scales[asked], (scales * np.sqrt(np.diag(covariance)[place]))[asked], strict=True)]
-        return cls(*(float(value) for pair in pairs for value in pair))
-
-    def square(self, std: float) -> float:
-        """Return the mean square of the error of the log of the whole size, whose prior has a deviation ``std``."""
-        share = std**2 / (std**2 + self.std_whole_scale**2)
-        return (share * float(np.log(self.whole_scale))) ** 2 + share * self.std_whole_scale**2
-
-    def contradictions(self) -> list[str]:
-        """Say by how much the frames contradict sizes of the instrument; empty where they do not."""
-        texts = []
-        for part, least in _LEAST.items():
-            scale, std = (float(getattr(self, f"{start}{part}_scale")) for start in ("", "std_"))
-            what, more, less = _TEXTS[part]
-            than = more if scale > 1 else less
-            if abs(scale - 1) > max(least, CLEAR * std):
-                texts.append(f"{what} {100 * abs(scale - 1):.0f} % (std {100 * std:.0f}) {than} than the instrument's")
-        return texts
+def square_of_whole(found: FoundBlock, std: float) -> float:
+    """Return the mean square of the error of the log of the whole size, whose prior has a deviation ``std``."""
+    value, own = found.values[-1], found.std[-1]
+    share = std**2 / (std**2 + own**2)
+    return (share * value) ** 2 + share * own**2

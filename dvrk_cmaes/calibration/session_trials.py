@@ -116,11 +116,12 @@ def _with_shared_endoscope(arm: ArmSession, first: ArmSession) -> ArmSession:
     endoscope, known = arm.model.endoscope, first.model.endoscope
     assert endoscope is not None
     assert known is not None
-    model = replace(arm.model, endoscope=endoscope.with_start(known.start, known.loose, shared=True))
-    assert model.endoscope is not None
+    endoscope = replace(endoscope, start=known.start, loose=known.loose, shared=True)
     values = first.solution.calibration.endoscope
-    calibration = arm.solution.calibration.with_blocks(model.endoscope.block, endoscope=values)
-    return replace(arm, model=model, found=replace(arm.solution, calibration=calibration))
+    calibration = arm.solution.calibration.with_blocks(endoscope.block, endoscope=values)
+    return replace(
+        arm, model=replace(arm.model, endoscope=endoscope), found=replace(arm.solution, calibration=calibration)
+    )
 
 
 def _of_endoscope(arm: ArmSession) -> Float64:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.prediction import WRIST_ERROR, FoundLag, Prediction, endoscope_at
+from dvrk_cmaes.calibration.prediction import WRIST_ERROR, FoundLag, Prediction, endoscope_in
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Float64, Posed
@@ -125,7 +125,7 @@ class Follower:
     def _predicted(self, reading: ReadingAt, outer: Float64, time: float) -> Prediction:
         """Predict an image from its readings less the lag, with other readings of the outer joints (4,), rad and m."""
         self._ecm = self._ecm if reading.ecm is None else reading.ecm
-        endoscope = endoscope_at(self.calibration, time, self._ecm)
+        endoscope = endoscope_in(self.calibration, [time], [""], None if self._ecm is None else self._ecm[None])
         lag_std = self._given.config.track.lag_std if self.lag is None else self.lag.std
         predicted = Prediction.of(
             self.calibration,

@@ -80,11 +80,7 @@ def cables_of() -> SessionCables:
         coupling_std=((0.05,) * count,) * count,
         play=play,
         play_std=((0.1,) * count,) * count,
-        narrow=none,
-        narrow_std=none,
-        width=(0.02, 0.2, 0.3, 0.2),
         wander=(0.01, 0.05, 0.05, 0.05),
-        seconds=(10.0,) * count,
         noise=(0.01,) * count,
         alone=CablesAlone(tuple(OFFSETS[name] for name in names), coupling, zeros, (0.05,) * count),
     )
