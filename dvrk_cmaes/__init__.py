@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.instrument import Instrument, load_instrument
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.joints.series import ReadingSeries
-    from dvrk_cmaes.results.file import read_result
-    from dvrk_cmaes.results.folder import ResultsFolder, read_results
+    from dvrk_cmaes.results.folder import ResultsFolder, read_result, read_results
     from dvrk_cmaes.results.result import Result
     from dvrk_cmaes.results.tracked import TrackResult
     from dvrk_cmaes.silhouette import Body, Renderer
@@ -61,7 +60,7 @@ _HOMES = {
     "read_calibration": "calibration.document",
     "read_camera": "camera.files",
     "read_frame": "frames.frame",
-    "read_result": "results.file",
+    "read_result": "results.folder",
     "read_results": "results.folder",
     "read_session": "frames.session_folder",
 }

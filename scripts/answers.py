@@ -31,7 +31,7 @@ from answering.compare import accepted, compare, read_answers
 from measuring.report import ROOT, SCANNED
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.atomic import write_text
+from dvrk_cmaes.io.json_file import write_text
 
 _COLUMNS: Final = ("files", "values", "differ", "largest relative", "largest change")
 

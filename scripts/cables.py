@@ -6,7 +6,8 @@
 To be run by hand. A recording has ``time`` (N,), s, and ``commanded`` and ``measured`` (N, 6): yaw, pitch (rad),
 insertion (m), roll, wrist_pitch, wrist_yaw (rad), in the order of time. Commanded positions are taken for readings and
 measured ones for the truth. Poses without a measurement (roll, wrist_pitch and wrist_yaw exactly zero) do not count,
-unless --all is given. The model is that of `dvrk_cmaes.joints.cables`. What each of its parts predicts of the second
+unless --all is given. The model is that of
+`dvrk_cmaes.joints.cable_prior`. What each of its parts predicts of the second
 half of a recording, fitted on the first, is in data/measurements.
 """
 
@@ -25,9 +26,9 @@ from committed_data import refuse_in_ci
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize
 
-from dvrk_cmaes.io.atomic import write_json
-from dvrk_cmaes.io.bundled import bundled_path
-from dvrk_cmaes.joints.cables import CableModel, features, play_of
+from dvrk_cmaes.io.files import bundled_path
+from dvrk_cmaes.io.json_file import write_json
+from dvrk_cmaes.joints.cable_prior import CableModel, features, play_of
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]

@@ -74,7 +74,7 @@ def main() -> int:
 
     code = command(["demo"])
     import dvrk_cmaes
-    from dvrk_cmaes.io.bundled import bundled_path, cache_folder
+    from dvrk_cmaes.io.files import bundled_path, cache_folder
 
     allowed = {
         sys.prefix,

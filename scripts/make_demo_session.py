@@ -20,7 +20,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.io.atomic import write_image, write_text
+from dvrk_cmaes.io.json_file import write_image, write_text
 from dvrk_cmaes.joints.names import WRIST_JOINTS
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.files import write_golden, write_joints

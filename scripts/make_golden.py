@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evaluate.pose_error import Tolerance
 from dvrk_cmaes.instrument import Instrument, load_instrument
-from dvrk_cmaes.io.atomic import write_image, write_json
+from dvrk_cmaes.io.json_file import write_image, write_json
 from dvrk_cmaes.synth.files import rounded_joints, rounded_truth
 from dvrk_cmaes.synth.levels import Mistakes
 from dvrk_cmaes.synth.masks import MEDIUM, SLIGHT, simulate_segmentation

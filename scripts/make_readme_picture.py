@@ -25,7 +25,7 @@ from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.geometry import Bool, Indices
-from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes.io.files import bundled_path
 from dvrk_cmaes.io.output import write_bytes
 from dvrk_cmaes.joints.prior import split_readings
 from dvrk_cmaes.pose.search.global_search import find_candidates, search_size

@@ -18,7 +18,7 @@ from typing import Final
 from fuzzing.families import QUICK
 
 from dvrk_cmaes.frames.images import read_image
-from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes.io.files import bundled_path
 
 _CAMERA: Final = "--camera session/camera.yaml"
 _CONFIG: Final = "--config quick.toml"

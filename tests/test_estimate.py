@@ -27,13 +27,13 @@ from dvrk_cmaes import (
     read_frame,
     read_session,
 )
-from dvrk_cmaes.camera.critical import WRONG
+from dvrk_cmaes.camera.rig import WRONG
 from dvrk_cmaes.config import CameraConfig
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose import find_pose
 from dvrk_cmaes.pose.search import METHODS as SEARCHES
-from dvrk_cmaes.pose.search.modes import PoseCandidate
+from dvrk_cmaes.pose.search.starts import PoseCandidate
 
 QUICK = EstimateConfig()
 QUICK = replace(QUICK, search=replace(QUICK.search, samples=128, starts=3, evaluations=200))

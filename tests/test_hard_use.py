@@ -15,8 +15,8 @@ from helpers.commands import run_command
 from dvrk_cmaes import Camera, InputError, Tracker, estimate
 from dvrk_cmaes.cli import app
 from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.io.csv_file import csv_text
+from dvrk_cmaes.io.files import bundled_path
 from dvrk_cmaes.io.short_text import escaped
 from dvrk_cmaes.joints.reading import read_joint_file
 

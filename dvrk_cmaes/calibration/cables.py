@@ -27,8 +27,7 @@ from dvrk_cmaes.calibration.lag import SessionLag
 from dvrk_cmaes.calibration.model import Correction, Deviations, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits, Solved
 from dvrk_cmaes.geometry import Bool, Float64, Indices
-from dvrk_cmaes.io.encode import Document
-from dvrk_cmaes.io.rounding import rounded, rounded_array
+from dvrk_cmaes.io.encode import Document, rounded, rounded_array
 from dvrk_cmaes.io.typed_document import Number, Texts, refused
 from dvrk_cmaes.joints.cable_inference import (
     Assumed,
@@ -38,8 +37,7 @@ from dvrk_cmaes.joints.cable_inference import (
     log_likelihood,
     run_filters,
 )
-from dvrk_cmaes.joints.cable_prior import CablePrior, cable_prior
-from dvrk_cmaes.joints.cables import NARROW, Play, features
+from dvrk_cmaes.joints.cable_prior import NARROW, CablePrior, Play, cable_prior, features
 
 Part = Literal["coupling", "play", "wander"]
 Row = tuple[Number, ...]

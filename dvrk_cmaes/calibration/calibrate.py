@@ -39,8 +39,8 @@ from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.geometry import Float64, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
-from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.joints.lag import Lag
+from dvrk_cmaes.joints.prior import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.pose.doubts import reading_slipped, reasons

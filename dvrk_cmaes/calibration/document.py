@@ -32,9 +32,8 @@ from dvrk_cmaes.config import CameraConfig, EstimateConfig, ReadingSigmas, __ver
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.arm import Arm
-from dvrk_cmaes.io.encode import SIGNIFICANT, encoded_fields
+from dvrk_cmaes.io.encode import SIGNIFICANT, encoded_fields, rounded, rounded_array, rounded_matrix
 from dvrk_cmaes.io.json_file import read_json_object
-from dvrk_cmaes.io.rounding import rounded, rounded_array, rounded_matrix
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.io.typed_document import (
     Count,

@@ -21,7 +21,7 @@ from dvrk_cmaes.calibration.blocks import ENDOSCOPE, Calibration, PredictedBlock
 from dvrk_cmaes.geometry import adjoint, change_between, exp_rotation, inverse, moved, rotation_about_z, transform
 from dvrk_cmaes.instrument.endoscope import STRAIGHT, ecm_from_tip_and_jacobian
 from dvrk_cmaes.joints.names import ECM_JOINTS
-from dvrk_cmaes.pose.refine.elimination import times
+from dvrk_cmaes.pose.refine.information import times
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.model import SessionModel

@@ -17,13 +17,12 @@ from dvrk_cmaes.geometry import Bool, Float64, Posed, moved
 from dvrk_cmaes.joints.prior import split_readings
 from dvrk_cmaes.pose.doubts import LEAST_OVERLAP
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, refine
-from dvrk_cmaes.pose.refine.selection import ALL, Selection
+from dvrk_cmaes.pose.refine.information import ALL, Selection
 from dvrk_cmaes.pose.terms.coverage import Coverage, DrawnCoverage, of_margin
-from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.shared_errors import SIDES
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_costs, sum_of_locals
-from dvrk_cmaes.pose.terms.tips_term import terms_of_frame
+from dvrk_cmaes.pose.terms.tips_term import Expected, terms_of_frame
 from dvrk_cmaes.pose.views import FrameView, overlap
 from dvrk_cmaes.silhouette import OutlinePoints
 

@@ -28,7 +28,7 @@ from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Number
-from dvrk_cmaes.joints.cables import Play, play_between
+from dvrk_cmaes.joints.cable_prior import Play, play_between
 from dvrk_cmaes.joints.lag import Lag, Unit
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.joints.series import ReadingSeries

@@ -20,7 +20,7 @@ from dvrk_cmaes.geometry import Bool, Float64, Posed, adjoint, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, ROLL_OFFSET, Arm, base_from_root_and_jacobian
 from dvrk_cmaes.joints.names import ECM_JOINTS
-from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.pose.terms.tips_term import Expected
 
 _UNREAD_STD = np.pi  # rad, standard deviation of a joint that has no reading
 

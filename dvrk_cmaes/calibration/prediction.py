@@ -20,13 +20,12 @@ from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.interpolation import LEAST_ERROR
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.camera_errors import covariance_by_camera
-from dvrk_cmaes.pose.expected_error import expected_error
+from dvrk_cmaes.pose.expected_error import expected_error, tip_probability
 from dvrk_cmaes.pose.find_pose import FoundPose
 from dvrk_cmaes.pose.judge import doubts_in_views, doubts_of_agreement
-from dvrk_cmaes.pose.probability import tip_probability
 from dvrk_cmaes.pose.quality import measure_views, pooled_quality
-from dvrk_cmaes.pose.refine.elimination import times
-from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.pose.refine.information import times
+from dvrk_cmaes.pose.terms.tips_term import Expected
 from dvrk_cmaes.pose.views import FrameView
 
 ROLL: Final = 5

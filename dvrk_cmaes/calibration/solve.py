@@ -21,7 +21,7 @@ from dvrk_cmaes.calibration.consensus import Mode, choose_modes
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.geometry import Float64, Indices, Posed
-from dvrk_cmaes.pose.refine.elimination import Eliminated, eliminate, times
+from dvrk_cmaes.pose.refine.information import Eliminated, eliminate, times
 from dvrk_cmaes.pose.terms.term import Quadratic
 
 _ROBUST = 2.0

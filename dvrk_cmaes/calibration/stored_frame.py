@@ -15,8 +15,7 @@ from dvrk_cmaes.evidence.shadows import shadow_stretches
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import PackedMask, shown_views
 from dvrk_cmaes.geometry import Float64, Posed
-from dvrk_cmaes.pose.held import held_in
-from dvrk_cmaes.pose.views import FrameView
+from dvrk_cmaes.pose.views import FrameView, held_in
 from dvrk_cmaes.silhouette import Body, Renderer
 
 

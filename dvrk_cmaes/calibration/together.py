@@ -18,8 +18,7 @@ from dvrk_cmaes.calibration.session_trials import solve_session
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64, adjoint, change_between, inverse, log_rotation
 from dvrk_cmaes.instrument.setup_joints import SETUP
-from dvrk_cmaes.io.encode import SIGNIFICANT, Document, encoded_fields
-from dvrk_cmaes.io.rounding import rounded_array
+from dvrk_cmaes.io.encode import SIGNIFICANT, Document, encoded_fields, rounded_array
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.silhouette.threads import single_blas_thread
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from dvrk_cmaes.camera.critical import remarks_on
 from dvrk_cmaes.camera.model import Camera
+from dvrk_cmaes.camera.rig import remarks_on
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import shown
 

@@ -10,7 +10,7 @@ import numpy as np
 from dvrk_cmaes.camera.model import Camera
 from dvrk_cmaes.camera.rig import View
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.io.atomic import write_text
+from dvrk_cmaes.io.json_file import write_text
 from dvrk_cmaes.io.yaml_file import yaml_text
 
 

@@ -230,7 +230,7 @@ def _report_all(
     arms: Mapping[str, ArmInSession], finished: Mapping[str, BatchSummary], out: Path, *, json: bool
 ) -> None:
     """Print the summaries of all arms."""
-    from dvrk_cmaes.joints.commanded import describe_commanded
+    from dvrk_cmaes.joints.prior import describe_commanded
 
     documents = {name: done.document for name, done in finished.items()}
     lines = {name: _lines(done.document, out / name) for name, done in finished.items()}

@@ -105,7 +105,7 @@ class CalibrateOptions:
     def share(self, arm: ArmInSession) -> ArmInSession:
         """Return an arm with the frames of its session that match the pattern, or keyframes of these, and settings."""
         from dvrk_cmaes.runs.keyframes import with_keyframes
-        from dvrk_cmaes.runs.output import chosen_frames
+        from dvrk_cmaes.runs.manifest import chosen_frames
 
         chosen = replace(arm.session, frames=chosen_frames(arm.session.frames, self.frames))
         if self.keyframes is None:

@@ -73,11 +73,11 @@ def compare(
     from dvrk_cmaes.evaluate.compared_set import read_compared_set
     from dvrk_cmaes.evaluate.comparison import compare_sets
     from dvrk_cmaes.evaluate.label_errors import label_errors, read_labels
-    from dvrk_cmaes.io.atomic import write_text
     from dvrk_cmaes.io.csv_file import csv_text
+    from dvrk_cmaes.io.json_file import write_text
     from dvrk_cmaes.io.output import LONG, check_files, output
     from dvrk_cmaes.report.compare_page import PAGE, write_compare_page
-    from dvrk_cmaes.results.paths import check_writable
+    from dvrk_cmaes.results.folder import check_writable
 
     if frames < 0:
         raise InputError(f"--frames: expected a whole number of at least 0, got {frames}")

@@ -66,7 +66,7 @@ def consistency(
     from dvrk_cmaes.evaluate.consistency import TABLE_ONE
     from dvrk_cmaes.evaluate.result_set import read_result_set
     from dvrk_cmaes.instrument.dvrk_description import read_tool
-    from dvrk_cmaes.io.atomic import write_text
+    from dvrk_cmaes.io.json_file import write_text
     from dvrk_cmaes.report.consistency_picture import draw_axes
     from dvrk_cmaes.report.curves import check_svg_path
 
@@ -101,7 +101,7 @@ def consistency(
 def _table(found: Sequence[Agreement]) -> Iterator[Line]:
     """Yield a table with one row for each set of results, then the paper's rows and the frames without a pose."""
     from dvrk_cmaes.evaluate.consistency import TABLE_ONE
-    from dvrk_cmaes.io.table import Table
+    from dvrk_cmaes.io.csv_file import Table
 
     rows: list[Sequence[str]] = []
     for spread in found:

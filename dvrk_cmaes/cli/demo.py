@@ -42,7 +42,7 @@ def demo(
     from dvrk_cmaes.evaluate.pose_error import Tolerance
     from dvrk_cmaes.frames.frame import read_frame
     from dvrk_cmaes.frames.session_folder import read_session
-    from dvrk_cmaes.io.bundled import bundled_path
+    from dvrk_cmaes.io.files import bundled_path
     from dvrk_cmaes.runs.frame import run_frame
     from dvrk_cmaes.silhouette.prepare import prepare
 

@@ -223,7 +223,7 @@ def estimate(
     given.check(segmented=segment == SegmentOptions(), uncalibrated=camera.camera is None)
     from dvrk_cmaes.estimation.one_tool import FrameMethod
     from dvrk_cmaes.frames.frame import read_frame
-    from dvrk_cmaes.results.paths import mask_path, overlay_path, result_path
+    from dvrk_cmaes.results.folder import mask_path, overlay_path, result_path
     from dvrk_cmaes.runs.frame import run_frame
     from dvrk_cmaes.segment.segmentation import hints_within
 

@@ -170,7 +170,7 @@ def export(
     from dvrk_cmaes.export.request import ExportRequest
     from dvrk_cmaes.export.request import export as exported_files
     from dvrk_cmaes.export.source import read_source
-    from dvrk_cmaes.io.atomic import json_text
+    from dvrk_cmaes.io.json_file import json_text
     from dvrk_cmaes.io.output import LONG, output, write_bytes
     from dvrk_cmaes.results.folder import folder_of_arm
 

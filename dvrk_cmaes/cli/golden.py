@@ -116,7 +116,7 @@ def record(
     """
     from dvrk_cmaes.frames.truth import FrameTruth, SessionTruth, write_golden
     from dvrk_cmaes.geometry import apply
-    from dvrk_cmaes.results.paths import check_writable
+    from dvrk_cmaes.results.folder import check_writable
 
     path = session / "golden.json" if golden is None else golden
     if path.exists() and not overwrite:
@@ -239,7 +239,7 @@ def answer_checks(
 def _lines(checks: Sequence[tuple[Result, PoseCheck]], tolerance: Tolerance) -> Iterator[Line]:
     """Yield a table of errors, with all values of the frames that are not right."""
     from dvrk_cmaes.evaluate.pose_check import table
-    from dvrk_cmaes.io.table import Table, fixed
+    from dvrk_cmaes.io.csv_file import Table, fixed
 
     quantities = list(dict.fromkeys(row.measured.quantity for _, check in checks for row in check.rows))
     rows = []

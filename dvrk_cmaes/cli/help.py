@@ -52,7 +52,7 @@ def help_topic(topic: str | None = None, /, *, search: str | None = None) -> int
 
 def topic_pages() -> dict[str, Path]:
     """Return the paths of the reference pages by topic, sorted by name."""
-    from dvrk_cmaes.io.bundled import bundled_path
+    from dvrk_cmaes.io.files import bundled_path
 
     return {path.stem: path for path in sorted(bundled_path("reference").glob("*.md"))}
 

@@ -248,7 +248,7 @@ def import_recording(
     selected.check()
     taken, said = _lag(selected.lag, selected.calibration)
     files.check()
-    from dvrk_cmaes.frames.own_files import check_own_folder
+    from dvrk_cmaes.frames.paired_names import check_own_folder
     from dvrk_cmaes.frames.picture_fit import parse_crop
     from dvrk_cmaes.recording.pose_table import read_pose_table
     from dvrk_cmaes.recording.readers import open_recording

@@ -56,7 +56,7 @@ def inspect(
         Print only a list with one object for each file, as JSON, on stdout.
     """
     from dvrk_cmaes.inspection import Options, inspect_path
-    from dvrk_cmaes.io.atomic import json_text
+    from dvrk_cmaes.io.json_file import json_text
 
     packages = split_packages(package_path)
     read_as = reading.read_as()

@@ -289,11 +289,10 @@ def _described(
 ) -> LiveSetup:
     """Say what is followed, and how; folders that are written to stay open with the stack."""
     from dvrk_cmaes.export.frames import FrameNames
-    from dvrk_cmaes.io.atomic import write_json
+    from dvrk_cmaes.io.json_file import write_json
     from dvrk_cmaes.io.output import output as folder_of_command
     from dvrk_cmaes.live.follow import ArmSetup, LiveSetup
-    from dvrk_cmaes.results.folder import SESSION
-    from dvrk_cmaes.results.paths import check_writable
+    from dvrk_cmaes.results.folder import SESSION, check_writable
     from dvrk_cmaes.runs.pool import Pool
     from dvrk_cmaes.runs.solver_process import SolverProcess
 

@@ -67,9 +67,9 @@ def pnp(
     instrument
         The instrument.
     """
-    from dvrk_cmaes.io.atomic import write_json
+    from dvrk_cmaes.io.json_file import write_json
     from dvrk_cmaes.io.output import output
-    from dvrk_cmaes.results.paths import check_output, result_path
+    from dvrk_cmaes.results.folder import check_output, result_path
 
     (arm,) = read_arms(session, SessionOptions(camera=camera, instrument=instrument), single=True).values()
     for frame in arm.session.frames:
@@ -87,7 +87,7 @@ def _by_markers(arm: ArmInSession, solver: Literal["sqpnp", "ransac"], markers: 
     """Yield a result for each frame from the markers in the session's markers.csv."""
     from dvrk_cmaes.estimation.pnp.frame import pose_from_markers
     from dvrk_cmaes.frames.markers import read_detections, read_marker_table
-    from dvrk_cmaes.io.bundled import bundled_path
+    from dvrk_cmaes.io.files import bundled_path
 
     table = read_marker_table(markers or bundled_path("markers", "lnd.json"))
     session, model = arm.session, arm.body.instrument

@@ -78,7 +78,7 @@ def segment(
     from dvrk_cmaes.cli.session_tools import pictures_at
     from dvrk_cmaes.frames.session_folder import find_images
     from dvrk_cmaes.io.output import whole_folder
-    from dvrk_cmaes.results.paths import check_output
+    from dvrk_cmaes.results.folder import check_output
     from dvrk_cmaes.runs.backgrounds import learned_backgrounds
     from dvrk_cmaes.silhouette.prepare import prepare
 
@@ -127,8 +127,8 @@ def segment_file(
 
     from dvrk_cmaes.draw.track_overlay import draw_track
     from dvrk_cmaes.frames.images import read_image
-    from dvrk_cmaes.io.atomic import write_image
-    from dvrk_cmaes.results.paths import mask_path, overlay_path
+    from dvrk_cmaes.io.json_file import write_image
+    from dvrk_cmaes.results.folder import mask_path, overlay_path
     from dvrk_cmaes.results.tracked import TrackView
     from dvrk_cmaes.segment import segment as segment_image
     from dvrk_cmaes.segment.segmentation import GUESS

@@ -188,7 +188,7 @@ def write_bases(
     Returns whether they are where the set-up joints have them, whose poses of the arms ``setup`` are by name.
     """
     from dvrk_cmaes.calibration.together import against_setup, arms_document, relative_bases
-    from dvrk_cmaes.io.atomic import write_json
+    from dvrk_cmaes.io.json_file import write_json
     from dvrk_cmaes.results.folder import ARMS
 
     bases, reference = relative_bases(calibrations), next(iter(calibrations))

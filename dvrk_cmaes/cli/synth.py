@@ -106,7 +106,7 @@ class SynthOptions:
         """Return what is drawn, of a camera and an instrument."""
         from dvrk_cmaes.camera.files import read_camera
         from dvrk_cmaes.frames.markers import read_marker_table
-        from dvrk_cmaes.io.bundled import bundled_path
+        from dvrk_cmaes.io.files import bundled_path
         from dvrk_cmaes.joints.lag import Lag
         from dvrk_cmaes.synth.levels import LEVELS
         from dvrk_cmaes.synth.moving_arm import FRAMES_A_SECOND

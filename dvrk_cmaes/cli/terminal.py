@@ -15,7 +15,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.io.table import Table
+    from dvrk_cmaes.io.csv_file import Table
 
 from dvrk_cmaes.io.short_text import escaped
 
@@ -112,7 +112,7 @@ def table_lines(table: Table, most: int | None = None) -> Iterator[Line]:
 
 def answer(document: Any, lines: Iterable[Line], *, json: bool) -> None:
     """Print a document as JSON, or else the lines that say what it has."""
-    from dvrk_cmaes.io.atomic import json_text
+    from dvrk_cmaes.io.json_file import json_text
 
     if json:
         print(json_text(document), end="")

@@ -243,7 +243,7 @@ def _session_of(path: Path, follow: TrackOptions, out: Path, camera: CameraOptio
     The video of a session counts where it has no images, and its masks are not all that is asked for. InputError if
     there is nothing at the path, it is neither, or it holds links that leave it.
     """
-    from dvrk_cmaes.frames.own_files import check_own, check_own_folder
+    from dvrk_cmaes.frames.paired_names import check_own, check_own_folder
     from dvrk_cmaes.frames.video_frames import SUFFIXES, Video, own_video
     from dvrk_cmaes.recording.topics import is_bag
 
@@ -280,7 +280,7 @@ def _begin(arm: TrackedArm, stop: Event) -> Begun[TrackedArm | None]:
 def _compared(folder: Path, arms: Mapping[str, TrackedArm], target: Path, *, quiet: bool) -> list[str]:
     """Write what several arms of a session have in common; returns why they are doubtful, "" if that was said."""
     from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
-    from dvrk_cmaes.results.track_files import VIDEO
+    from dvrk_cmaes.results.tracked import VIDEO
     from dvrk_cmaes.runs.track_outputs import exchanged_while_followed, write_track_arms
 
     doubts = list(exchanged_while_followed(arms))
@@ -299,7 +299,7 @@ def _lines(arm: TrackedArm) -> Iterator[Line]:
     """Yield the lines about an arm that was followed."""
     import numpy as np
 
-    from dvrk_cmaes.results.track_files import VIDEO
+    from dvrk_cmaes.results.tracked import VIDEO
 
     counts = ", ".join(f"{arm.counts[name]} {name}" for name in ("ok", "doubtful", "lost") if arm.counts.get(name))
     yield Line(f"{frames_text(len(arm.rows))}: {counts}", "bold")

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.draw.canvas import AXES, DARK, GREY, Canvas, Colour, plain
 from dvrk_cmaes.draw.panels import FOUND, MASK, PROJECTED, SILHOUETTE, SKELETON, STEADY, footer, header
-from dvrk_cmaes.draw.projection import found_edges, projected_axes, projected_edges, skeleton_lines
+from dvrk_cmaes.draw.track_overlay import found_edges, projected_axes, projected_edges, skeleton_lines
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
 from dvrk_cmaes.evidence.outline_noise import distances_to
 from dvrk_cmaes.evidence.steady_errors import steady_stretches

@@ -12,23 +12,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dvrk_cmaes.camera import Camera, Rig
-from dvrk_cmaes.camera.critical import known_mistakes
-from dvrk_cmaes.camera.rig import remarks_on_cameras
+from dvrk_cmaes.camera.rig import known_mistakes, remarks_on_cameras
 from dvrk_cmaes.config import EstimateConfig, __version__
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.frames.seen_view import SeenView, left_out_views, seen_views, shown_views
 from dvrk_cmaes.geometry import Bool, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm, check_arm, find_camera_from_base
-from dvrk_cmaes.io.arguments import check_type
+from dvrk_cmaes.io.short_text import check_type
 from dvrk_cmaes.joints.prior import split_readings
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.pose.expected_error import locate_tips
 from dvrk_cmaes.pose.find_pose import FoundPose, find_pose
-from dvrk_cmaes.pose.held import HELD, held_in, without
 from dvrk_cmaes.pose.judge import exchanged_readings
-from dvrk_cmaes.pose.search.modes import PoseCandidate
-from dvrk_cmaes.pose.views import FrameView
+from dvrk_cmaes.pose.search.starts import PoseCandidate
+from dvrk_cmaes.pose.views import HELD, FrameView, held_in, without
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result, Source, modes_of
 from dvrk_cmaes.silhouette import Body, Renderer

@@ -16,7 +16,7 @@ from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.results.followed import result_of_row
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.results.track_files import TRACKS, read_tracks
+from dvrk_cmaes.results.tracked import TRACKS, read_tracks
 
 Kind = Literal["results", "followed recording", "published poses", "truth"]
 

@@ -17,9 +17,8 @@ from dvrk_cmaes.evaluate.compared_set import ComparedFrame, ComparedSet
 from dvrk_cmaes.evaluate.pose_error import PoseError, pose_error
 from dvrk_cmaes.geometry import Float64, apply
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.io.encode import encoded, encoded_fields
-from dvrk_cmaes.io.rounding import rounded
-from dvrk_cmaes.io.table import Table, fixed
+from dvrk_cmaes.io.csv_file import Table, fixed
+from dvrk_cmaes.io.encode import encoded, encoded_fields, rounded
 
 QUANTITIES: Final = {"tip_mm": "tips, mm", "root_mm": "root, mm", "shaft_deg": "shaft, deg", "roll_deg": "roll, deg"}
 """Names of a difference's quantities but the joints, and their headings with units."""

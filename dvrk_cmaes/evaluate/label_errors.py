@@ -22,10 +22,10 @@ from dvrk_cmaes.frames.markers import Marker, place_markers, read_detections, re
 from dvrk_cmaes.frames.session_toml import read_session_toml
 from dvrk_cmaes.geometry import Float64, apply
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.io.bundled import bundled_path
-from dvrk_cmaes.io.rounding import rounded_values
+from dvrk_cmaes.io.csv_file import Table
+from dvrk_cmaes.io.encode import rounded_values
+from dvrk_cmaes.io.files import bundled_path
 from dvrk_cmaes.io.short_text import listed, natural
-from dvrk_cmaes.io.table import Table
 
 _LABELS: Final = "markers.csv"
 _TABLES: Final = ("lnd.json", "surgpose.json")

@@ -24,7 +24,7 @@ from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.request import DvrkVersion, Exported, ExportRequest
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.setup_joints import SETUP, setup_text
-from dvrk_cmaes.io.atomic import json_text
+from dvrk_cmaes.io.json_file import json_text
 
 DVRK_FROM_OPEN_CV: Final = np.diag([-1.0, -1.0, 1.0, 1.0])
 """Transform from OpenCV's camera axes to the dVRK's, which have x and y reversed."""

@@ -12,8 +12,7 @@ from dvrk_cmaes.export.base_choice import ChosenBase, base_of_frame, base_of_fra
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed, shown
-from dvrk_cmaes.results.folder import ARMS, SESSION, is_followed, read_results, result_paths
-from dvrk_cmaes.results.paths import check_frame_name
+from dvrk_cmaes.results.folder import ARMS, SESSION, check_frame_name, is_followed, read_results, result_paths
 from dvrk_cmaes.results.result import Result
 
 _EXPECTED = "a result or a session calibration (JSON), or a folder of them"

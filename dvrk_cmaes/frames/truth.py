@@ -22,10 +22,9 @@ from msgspec import Meta, Struct
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64, exp_rotation, transform
-from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.csv_file import number_in, read_csv_rows
-from dvrk_cmaes.io.json_file import read_json_object
-from dvrk_cmaes.io.rounding import rounded_array, rounded_values
+from dvrk_cmaes.io.encode import rounded_array, rounded_values
+from dvrk_cmaes.io.json_file import read_json_object, write_json
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.io.typed_document import Number, Point, Transform, convert_document, present_fields, refused
 

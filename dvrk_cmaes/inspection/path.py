@@ -18,11 +18,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from dvrk_cmaes.camera.critical import WRONG
 from dvrk_cmaes.camera.document import is_camera, unwrapped
 from dvrk_cmaes.camera.fields import Side
 from dvrk_cmaes.camera.files import read_intrinsics
-from dvrk_cmaes.camera.rig import Rig
+from dvrk_cmaes.camera.rig import WRONG, Rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.coco_mask import frames_of
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
@@ -45,8 +44,7 @@ from dvrk_cmaes.joints.rows import BY_THEMSELVES, NO_TIME, ReadAs
 from dvrk_cmaes.joints.times import read_image_times
 from dvrk_cmaes.recording.lerobot import is_lerobot
 from dvrk_cmaes.recording.topics import is_bag
-from dvrk_cmaes.results.file import read_result
-from dvrk_cmaes.results.folder import is_followed, read_results
+from dvrk_cmaes.results.folder import is_followed, read_result, read_results
 
 _VIDEOS: Final = (".mp4", ".avi", ".mkv", ".mov")
 _PICTURES: Final = (".png", ".jpg", ".jpeg")

@@ -9,8 +9,7 @@ from typing import Final
 from msgspec import Struct
 
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.io.atomic import json_text
-from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.io.json_file import json_text, read_json_object
 from dvrk_cmaes.io.typed_document import Transform, convert_document
 
 SETUP: Final = "suj-fixed.json"

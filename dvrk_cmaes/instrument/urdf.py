@@ -13,16 +13,14 @@ from typing import Any
 
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.instrument import measure
-from dvrk_cmaes.instrument.cache import cache_file, read_cached, write_cached
 from dvrk_cmaes.instrument.joint_tree import build_joints, joints_below
 from dvrk_cmaes.instrument.kinematics import Chain
-from dvrk_cmaes.instrument.locate import find_mesh
+from dvrk_cmaes.instrument.locate import cache_file, find_mesh, read_cached, write_cached
 from dvrk_cmaes.instrument.model import Instrument, Link
 from dvrk_cmaes.instrument.urdf_xml import read_robot
 from dvrk_cmaes.instrument.visuals import link_triangles
-from dvrk_cmaes.io.arguments import PATH, check_type
-from dvrk_cmaes.io.bundled import bundled_path
-from dvrk_cmaes.io.short_text import listed
+from dvrk_cmaes.io.files import bundled_path
+from dvrk_cmaes.io.short_text import PATH, check_type, listed
 
 #: Default name of the link whose pose is estimated: the one at the distal end of the shaft.
 DEFAULT_ROOT = "roll_link"
@@ -88,7 +86,7 @@ def load_instrument(
     root_link
         Link whose pose is estimated, with the shaft on it or below it; ``roll_link`` by default.
     use_cache
-        Read the instrument from the disk cache if it is there, otherwise write it (see `dvrk_cmaes.instrument.cache`),
+        Read the instrument from the disk cache if it is there, otherwise write it (see `dvrk_cmaes.instrument.locate`),
         and do so with what is prepared of its meshes.
 
     Raises

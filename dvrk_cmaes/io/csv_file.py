@@ -2,6 +2,8 @@
 
 Cells are separated by commas, or else by semicolons, tabs or blanks, as the first line has them. Between semicolons,
 numbers may have decimal commas.
+
+Tables of text, as commands print and pages show them.
 """
 
 from __future__ import annotations
@@ -11,7 +13,8 @@ import io
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
@@ -119,3 +122,27 @@ def number_in(where: str, column: str, cells: dict[str, str], unit: str = "") ->
         what = f"a finite number in {unit}" if unit else "a finite number"
         raise InputError(f"{where}: {column}: expected {what}, got {shown(cells[column])}")
     return value
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of cells under headings; the first cell of a row is its heading, on a page of ``frames`` a link to one."""
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    frames: bool = False
+
+    def lines(self) -> Iterator[str]:
+        """Yield the heading and the rows as lines of columns, the first to the left and the others to the right."""
+        widths = [max(map(len, column)) for column in zip(self.head, *self.rows, strict=True)]
+        for first, *others in (self.head, *self.rows):
+            cells = (cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True))
+            yield "  ".join([first.ljust(widths[0]), *cells]).rstrip()
+
+
+def fixed(value: float | None, digits: int, *, sign: bool = False) -> str:
+    """Format a number with some decimals, a missing or infinite one as a dash, zero without a sign."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    text = f"{value:{'+' if sign else ''}.{digits}f}"
+    return text if text.strip("+-0.") else text.lstrip("+-")

@@ -1,4 +1,7 @@
-"""Values as documents: what JSON has, with numbers rounded, so that files are the same on every run."""
+"""Values as documents: what JSON has, with numbers rounded, so that files are the same on every run.
+
+Round numbers before they are written to documents, so that files are the same on every run.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from dvrk_cmaes.io.rounding import rounded, rounded_array, rounded_matrix
+from dvrk_cmaes.geometry import Float64
 
 SIGNIFICANT: Final = {"significant": True}
 """Metadata of a field with a matrix whose numbers are rounded to significant digits, as those of covariances."""
@@ -51,3 +54,23 @@ class Document:
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as JSON has them."""
         return encoded_fields(self, *(field.name for field in fields(self)))  # type: ignore[arg-type]  # of a dataclass
+
+
+def rounded(value: float) -> float:
+    """Round to nine decimals: a nanometre or a nanoradian."""
+    return round(float(value), 9)
+
+
+def rounded_values(values: Mapping[str, float]) -> dict[str, float]:
+    """Round the numbers of a mapping as `rounded` does."""
+    return {name: rounded(value) for name, value in values.items()}
+
+
+def rounded_array(array: Float64) -> Any:
+    """Round an array as `rounded` does, to nested lists."""
+    return np.round(np.asarray(array, dtype=np.float64), 9).tolist()
+
+
+def rounded_matrix(matrix: Float64) -> list[list[float]]:
+    """Round the numbers of a covariance to seven significant digits."""
+    return [[float(f"{value:.6e}") for value in row] for row in matrix]

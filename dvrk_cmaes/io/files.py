@@ -1,16 +1,24 @@
-"""Read whole files; an InputError states in one line why a file cannot be read."""
+"""Read whole files; an InputError states in one line why a file cannot be read.
+
+Paths of the bundled instrument and demo session, and of the folder for what can be computed again.
+
+The bundled files are in data/ in a checkout, in dvrk_cmaes/data in a wheel. What takes long to compute, instruments,
+prepared meshes and compiled templates, is in ``dvrk-cmaes`` in ``$XDG_CACHE_HOME`` or ``~/.cache``. The environment
+variable ``DVRK_CMAES_CACHE`` gives another folder; the value ``off`` disables it. Its files may be deleted at any time.
+"""
 
 from __future__ import annotations
 
 import errno
 import hashlib
+import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.arguments import PATH, check_type
+from dvrk_cmaes.io.short_text import PATH, check_type
 
 
 def read_bytes(path: str | Path, *, expected: str, largest: int) -> bytes:
@@ -87,3 +95,25 @@ def file_digest(path: Path) -> str:
         raise OSError(errno.EINVAL, "not a regular file", str(path))
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def bundled_path(*parts: str) -> Path:
+    """Return the path of a bundled file or folder, e.g. ``bundled_path("instruments", "lnd")``."""
+    inside = _PACKAGE / "data"
+    return (inside if inside.is_dir() else _PACKAGE.parent / "data").joinpath(*parts)
+
+
+def cache_folder() -> Path | None:
+    """Return the folder of what can be computed again, which may not exist; None if disabled or without a home."""
+    folder = os.environ.get("DVRK_CMAES_CACHE", "")
+    if folder == "off":
+        return None
+    if folder:
+        return Path(folder)
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dvrk-cmaes"
+    except RuntimeError:  # the user has no home folder
+        return None

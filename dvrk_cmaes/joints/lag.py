@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.rounding import rounded
+from dvrk_cmaes.io.encode import rounded
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.io.typed_document import Number
 

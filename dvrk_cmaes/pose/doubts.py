@@ -13,7 +13,7 @@ from typing import Final, Literal
 
 from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.joints.interpolation import MOST_OFF, Sparseness
-from dvrk_cmaes.pose.probability import tip_probability
+from dvrk_cmaes.pose.expected_error import tip_probability
 from dvrk_cmaes.results.result import ExpectedError, Quality
 
 Kind = Literal["alone", "solved", "followed"]

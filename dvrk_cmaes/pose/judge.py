@@ -35,9 +35,9 @@ from dvrk_cmaes.pose.doubts import (
     view_turned,
     wrist_or_jaws_off,
 )
-from dvrk_cmaes.pose.probability import mode_weights, tip_probability
+from dvrk_cmaes.pose.expected_error import mode_weights, tip_probability
 from dvrk_cmaes.pose.refine.gauss_newton import Fit
-from dvrk_cmaes.pose.search.modes import is_twin
+from dvrk_cmaes.pose.search.starts import is_twin
 from dvrk_cmaes.pose.views import FrameView, overlap
 from dvrk_cmaes.results.result import ExpectedError, Quality, ViewCheck
 

@@ -16,8 +16,7 @@ from dvrk_cmaes.evidence.steady_errors import steady_stretches
 from dvrk_cmaes.evidence.straight_cut import largest_bend, shaft_width
 from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.joints.prior import Readings
-from dvrk_cmaes.pose.search.losses import Terms
-from dvrk_cmaes.pose.search.objective import pose_terms
+from dvrk_cmaes.pose.search.objective import Terms, pose_terms
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import Quality
 from dvrk_cmaes.silhouette.ray_check import trace_near_outlines

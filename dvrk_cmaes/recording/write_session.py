@@ -26,10 +26,10 @@ from dvrk_cmaes.frames.paired_names import with_names_of
 from dvrk_cmaes.frames.session_folder import image_files, read_session
 from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, session_toml
 from dvrk_cmaes.frames.video_frames import open_capture
-from dvrk_cmaes.io.atomic import write_text
 from dvrk_cmaes.io.csv_file import csv_text
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.image_header import PNG, read_header
+from dvrk_cmaes.io.json_file import write_text
 from dvrk_cmaes.io.output import whole_folder, write_bytes
 from dvrk_cmaes.io.short_text import listed, natural
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, known_where, weighted_mean

@@ -13,7 +13,7 @@ from dvrk_cmaes.evaluate.comparison import Comparison
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.report.curves import Chart, Curve
 from dvrk_cmaes.report.template import Entry, KeyFigure, Page, Part, Picture, webp, write
-from dvrk_cmaes.results.paths import check_frame_name, overlay_path
+from dvrk_cmaes.results.folder import check_frame_name, overlay_path
 
 PAGE: Final = "compare.html"
 _PICTURES: Final = 24  # frames whose overlays are shown

@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.io.table import Table, fixed
+from dvrk_cmaes.io.csv_file import Table, fixed
 from dvrk_cmaes.report.curves import Chart, Curve
 from dvrk_cmaes.report.tables import calibration_lines, calibration_tables, result_lines, result_tables
 from dvrk_cmaes.report.template import (
@@ -28,8 +28,15 @@ from dvrk_cmaes.report.template import (
     counted_reasons,
     write,
 )
-from dvrk_cmaes.results.folder import ALONE, SESSION, ResultsFolder, read_results, result_paths
-from dvrk_cmaes.results.paths import left_out_path, overlay_path
+from dvrk_cmaes.results.folder import (
+    ALONE,
+    SESSION,
+    ResultsFolder,
+    left_out_path,
+    overlay_path,
+    read_results,
+    result_paths,
+)
 from dvrk_cmaes.results.result import Result
 
 _STATUSES: Final = ("failed", "doubtful", "ok")

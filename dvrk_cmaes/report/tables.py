@@ -9,7 +9,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.geometry import Float64, in_parent, log_rotation, rotation_angle
-from dvrk_cmaes.io.table import Table, fixed
+from dvrk_cmaes.io.csv_file import Table, fixed
 from dvrk_cmaes.results.result import Result
 
 _CAMERA = "the camera's axes"

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.images import read_image
+from dvrk_cmaes.io.csv_file import Table
 from dvrk_cmaes.io.output import write_bytes
-from dvrk_cmaes.io.table import Table
 from dvrk_cmaes.report.curves import Chart, anchor, chart_svg
 
 EMBEDDED: Final = 1_500_000

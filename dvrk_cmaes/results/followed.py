@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dvrk_cmaes.results.result import POSE_AXES, Result
-from dvrk_cmaes.results.track_files import TRACKS, read_tracks
+from dvrk_cmaes.results.tracked import TRACKS, read_tracks
 
 _SAME = ("frame", "time", "reasons", "remarks", "camera_from_root", "joints", "tips", "seconds")
 

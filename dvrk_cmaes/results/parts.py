@@ -11,8 +11,7 @@ import numpy as np
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64, Posed
-from dvrk_cmaes.io.encode import SIGNIFICANT, Document
-from dvrk_cmaes.io.rounding import rounded_array, rounded_values
+from dvrk_cmaes.io.encode import SIGNIFICANT, Document, rounded_array, rounded_values
 from dvrk_cmaes.io.typed_document import Number, Point, SquareOfThree, Transform
 
 Relation = Literal["mirror twin", "other mode"]

@@ -11,8 +11,7 @@ import numpy as np
 from dvrk_cmaes.config import __version__
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.geometry import Float64, Image, Posed, in_parent
-from dvrk_cmaes.io.encode import encoded, encoded_fields
-from dvrk_cmaes.io.rounding import rounded_matrix
+from dvrk_cmaes.io.encode import encoded, encoded_fields, rounded_matrix
 from dvrk_cmaes.io.typed_document import (
     Count,
     Number,

@@ -20,7 +20,7 @@ from dvrk_cmaes.evaluate.consistency import spread_of_bases
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.pose.doubts import BASE_APART, base_apart
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.output import update_result
+from dvrk_cmaes.runs.manifest import update_result
 
 _LEAST_FRAMES: Final = 3
 _FACTOR: Final = 2.0  # of the squared distances from the own readings and from those of the other tool

@@ -18,9 +18,9 @@ from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.export.pose_texts import table_text
 from dvrk_cmaes.frames.frame import FrameFiles
-from dvrk_cmaes.io.atomic import write_json, write_text
+from dvrk_cmaes.io.json_file import write_json, write_text
 from dvrk_cmaes.io.output import Output, output
-from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
+from dvrk_cmaes.joints.prior import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.results.folder import SUMMARY, ResultsFolder, read_results
 from dvrk_cmaes.results.pose_rows import pose_rows
@@ -37,21 +37,19 @@ from dvrk_cmaes.runs.frame import (
     write_outcome,
 )
 from dvrk_cmaes.runs.manifest import (
-    check_same_frames,
-    check_same_settings,
-    frame_stamps,
-    manifest_of,
-    read_manifest,
-    with_frames,
-)
-from dvrk_cmaes.runs.output import (
     COMMAND,
     POSES,
     TABLES,
     check_names,
+    check_same_frames,
+    check_same_settings,
     chosen_frames,
     earlier_results,
+    frame_stamps,
+    manifest_of,
+    read_manifest,
     results_of,
+    with_frames,
 )
 from dvrk_cmaes.runs.pool import WorkerDied, pool_of, usable_cores
 from dvrk_cmaes.runs.pool import Workers as Executors

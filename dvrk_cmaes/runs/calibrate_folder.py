@@ -26,11 +26,12 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
-from dvrk_cmaes.io.atomic import write_json, write_text
+from dvrk_cmaes.io.json_file import write_json, write_text
 from dvrk_cmaes.io.output import output, whole_folder, write_bytes
 from dvrk_cmaes.joints.lag import Lag
-from dvrk_cmaes.results.folder import ALONE, SESSION
-from dvrk_cmaes.results.paths import (
+from dvrk_cmaes.results.folder import (
+    ALONE,
+    SESSION,
     check_output,
     found_masks,
     left_out_path,

@@ -9,7 +9,7 @@ from dvrk_cmaes.draw.track_overlay import draw_track
 from dvrk_cmaes.draw.view_overlays import draw_views, drawn_views
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
-from dvrk_cmaes.io.atomic import encoded_image
+from dvrk_cmaes.io.json_file import encoded_image
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackView
 from dvrk_cmaes.silhouette import Body, Renderer

@@ -19,9 +19,9 @@ from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame, readable
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.frames.truth import SessionTruth
-from dvrk_cmaes.io.atomic import encoded_image, json_text
+from dvrk_cmaes.io.json_file import encoded_image, json_text
 from dvrk_cmaes.io.output import LONG, output, remove, write_bytes
-from dvrk_cmaes.results.paths import check_output, mask_path, overlay_path, result_path
+from dvrk_cmaes.results.folder import check_output, mask_path, overlay_path, result_path
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.pool import limit_library_threads, packed, unpacked
 from dvrk_cmaes.segment.segmentation import Hints, hints_within

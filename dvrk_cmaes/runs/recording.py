@@ -24,7 +24,7 @@ from dvrk_cmaes.joints.interpolation import Sparseness
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.doubts import pose_lost, readings_frozen, readings_missing, readings_too_sparse, reasons
 from dvrk_cmaes.pose.judge import far_joints
-from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.pose.terms.tips_term import Expected
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.track.frame_fits import FittedFrame, PredictedFrame, fit_block
 from dvrk_cmaes.track.image_masks import ColourModel

@@ -10,7 +10,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.session_rig import rotations_of_views
 from dvrk_cmaes.config import TrustConfig
-from dvrk_cmaes.joints.commanded import commanded_in
+from dvrk_cmaes.joints.prior import commanded_in
 from dvrk_cmaes.pose.doubts import reasons, rig_turned
 from dvrk_cmaes.results.result import Result, Status
 

@@ -24,16 +24,14 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.io.atomic import write_json, write_text
 from dvrk_cmaes.io.encode import encoded
+from dvrk_cmaes.io.json_file import write_json, write_text
 from dvrk_cmaes.io.output import Output, output
-from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
+from dvrk_cmaes.joints.prior import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.pose.doubts import NO_READINGS
 from dvrk_cmaes.report.track_page import PAGE
-from dvrk_cmaes.results.folder import SESSION
-from dvrk_cmaes.results.paths import check_writable
-from dvrk_cmaes.results.track_files import TABLE, TRACKS, VIDEO, line_of, write_table
-from dvrk_cmaes.results.tracked import TrackResult
+from dvrk_cmaes.results.folder import SESSION, check_writable
+from dvrk_cmaes.results.tracked import TABLE, TRACKS, VIDEO, TrackResult, line_of, write_table
 from dvrk_cmaes.runs.frame import ArmInSession
 from dvrk_cmaes.runs.keyframes import begin_images, begin_keyframes
 from dvrk_cmaes.runs.manifest import Manifest, frame_stamps, manifest_of

@@ -11,16 +11,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from dvrk_cmaes.camera import Rig
-from dvrk_cmaes.draw.projection import project_visible, projected_axes
-from dvrk_cmaes.draw.track_overlay import draw_track, draw_track_of_arms
+from dvrk_cmaes.draw.track_overlay import draw_track, draw_track_of_arms, project_visible, projected_axes
 from dvrk_cmaes.export.rerun_file import rerun_file
 from dvrk_cmaes.geometry import Float64, apply
 from dvrk_cmaes.io.video_writer import whole_video
 from dvrk_cmaes.report.track_page import FollowedRecording, write_track_page
 from dvrk_cmaes.results.followed import result_of_row
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.results.track_files import VIDEO
-from dvrk_cmaes.results.tracked import TrackView
+from dvrk_cmaes.results.tracked import VIDEO, TrackView
 from dvrk_cmaes.runs.agreement import exchanged_arms
 from dvrk_cmaes.runs.track_inputs import files_of_views, read_arrays
 from dvrk_cmaes.silhouette import Renderer

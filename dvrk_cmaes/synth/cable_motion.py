@@ -9,8 +9,7 @@ from typing import Final
 import numpy as np
 
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.joints.cable_prior import cable_prior, measured_cables
-from dvrk_cmaes.joints.cables import CableModel, Play, play_of
+from dvrk_cmaes.joints.cable_prior import CableModel, Play, cable_prior, measured_cables, play_of
 
 _UNMEASURED: Final = 1 / 3
 """Couplings of joints that were not measured, relative to the standard deviation that is assumed of them."""

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.io.atomic import write_json, write_text
 from dvrk_cmaes.io.csv_file import csv_text
+from dvrk_cmaes.io.json_file import write_json, write_text
 from dvrk_cmaes.synth.truth import Truth
 
 

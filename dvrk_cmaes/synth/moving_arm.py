@@ -16,7 +16,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.geometry import Float64, apply, inverse
 from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, OUTER_JOINTS, Arm, base_from_root
-from dvrk_cmaes.joints.cables import CableModel
+from dvrk_cmaes.joints.cable_prior import CableModel
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.cable_motion import pulled
 from dvrk_cmaes.synth.poses import ViewLimits, arm_session

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.io.atomic import encoded_image, write_image, write_json, write_text
 from dvrk_cmaes.io.csv_file import csv_text
+from dvrk_cmaes.io.json_file import encoded_image, write_image, write_json, write_text
 from dvrk_cmaes.io.output import whole_folder
 from dvrk_cmaes.io.video_writer import whole_video
 from dvrk_cmaes.joints.names import ECM_JOINTS

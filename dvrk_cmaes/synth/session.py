@@ -23,9 +23,9 @@ from dvrk_cmaes.frames.markers import Marker, place_markers
 from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, session_toml
 from dvrk_cmaes.geometry import Bool, Float64, transform
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
-from dvrk_cmaes.io.atomic import write_image, write_json, write_text
 from dvrk_cmaes.io.csv_file import csv_text
 from dvrk_cmaes.io.encode import encoded_fields
+from dvrk_cmaes.io.json_file import write_image, write_json, write_text
 from dvrk_cmaes.io.output import whole_folder
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.files import write_golden, write_joints

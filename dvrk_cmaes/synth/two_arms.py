@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.frames.session_toml import ToolEntry
 from dvrk_cmaes.geometry import Bool, Float32, Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.io.atomic import write_image, write_json
+from dvrk_cmaes.io.json_file import write_image, write_json
 from dvrk_cmaes.io.output import whole_folder
 from dvrk_cmaes.synth.files import write_golden, write_joints
 from dvrk_cmaes.synth.masks import simulate_segmentation

@@ -17,7 +17,7 @@ import numpy as np
 
 from dvrk_cmaes.frames.session_toml import ToolEntry
 from dvrk_cmaes.geometry import Float32
-from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.io.json_file import write_json
 from dvrk_cmaes.io.output import whole_folder
 from dvrk_cmaes.synth.moving_arm import MotionLevel
 from dvrk_cmaes.synth.moving_images import DrawnTool

@@ -27,7 +27,7 @@ from dvrk_cmaes.pose.doubts import (
     reasons,
 )
 from dvrk_cmaes.pose.judge import far_joints
-from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.pose.terms.tips_term import Expected
 from dvrk_cmaes.results.tracked import TrackResult, without_pose
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.frame_fits import MaskedFit, fit_seen

@@ -32,7 +32,7 @@ from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import SeenView, overlap_of, shown_views
 from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.pose.doubts import reasons, silhouette_without_colours
-from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.pose.terms.tips_term import Expected
 from dvrk_cmaes.pose.views import FrameView, silhouette_of
 from dvrk_cmaes.segment.regions import FINEST
 from dvrk_cmaes.silhouette import Body, Renderer

@@ -32,9 +32,8 @@ from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.camera_errors import covariance_by_camera
 from dvrk_cmaes.pose.doubts import FOLLOWED, pose_lost, reasons
-from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
+from dvrk_cmaes.pose.expected_error import expected_error, locate_tips, tip_probability
 from dvrk_cmaes.pose.judge import doubts_in_views, doubts_of_agreement
-from dvrk_cmaes.pose.probability import tip_probability
 from dvrk_cmaes.pose.quality import measure_overlap, pooled_quality
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import ExpectedError

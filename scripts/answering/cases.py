@@ -17,7 +17,7 @@ from measuring.report import SHARED
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes.io.files import bundled_path
 
 _FRAMES: Final = (SHARED / "frames").resolve()
 

@@ -16,7 +16,7 @@ from dvrk_cmaes.evaluate.pose_error import PoseError, compare_poses
 from dvrk_cmaes.evaluate.result_set import ResultSet
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles
 from dvrk_cmaes.frames.markers import read_marker_table
-from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes.io.files import bundled_path
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.levels import LEVELS, LevelName

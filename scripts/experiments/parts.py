@@ -19,7 +19,7 @@ from measuring.report import commit, machine, today
 from PIL import Image
 
 from dvrk_cmaes.config import __version__
-from dvrk_cmaes.io.atomic import write_json, write_text
+from dvrk_cmaes.io.json_file import write_json, write_text
 from dvrk_cmaes.io.output import write_bytes
 
 _COLOURS: Final = 64

@@ -21,8 +21,8 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.frames.images import read_image, read_mask
 from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.io.atomic import write_image, write_json
-from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes.io.files import bundled_path
+from dvrk_cmaes.io.json_file import write_image, write_json
 from dvrk_cmaes.io.toml_file import read_config
 from dvrk_cmaes.io.video_writer import quiet_ffmpeg
 from dvrk_cmaes.results.folder import read_results

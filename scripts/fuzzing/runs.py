@@ -26,7 +26,7 @@ from dvrk_cmaes.cli import main as run_command_line
 from dvrk_cmaes.cli.app import app
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.images import read_image
-from dvrk_cmaes.results.file import read_result
+from dvrk_cmaes.results.folder import read_result
 from dvrk_cmaes.runs.pool import Pool
 
 QUICK: Final = ("--config", "quick.toml")

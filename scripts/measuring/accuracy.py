@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.instrument import Instrument, load_instrument
-from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.io.json_file import write_json
 from measuring.falsified import FALSIFIED, INPUTS, falsified
 from measuring.report import ROOT, Report, commit, in_processes, machine, today
 from measuring.runner import Command, Failure, goldens, sessions_in, solved

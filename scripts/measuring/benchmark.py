@@ -25,8 +25,8 @@ import numpy as np
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.frames.images import read_mask
 from dvrk_cmaes.instrument import Instrument, load_instrument
-from dvrk_cmaes.io.atomic import write_json, write_text
 from dvrk_cmaes.io.csv_file import csv_text
+from dvrk_cmaes.io.json_file import write_json, write_text
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.results.result import POSE_AXES, Result
 from measuring.report import Report, in_processes

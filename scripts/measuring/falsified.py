@@ -26,8 +26,8 @@ from dvrk_cmaes.frames.images import read_mask
 from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.geometry import Float64, apply
 from dvrk_cmaes.instrument import Instrument, load_instrument
-from dvrk_cmaes.io.atomic import write_image, write_json, write_text
 from dvrk_cmaes.io.csv_file import csv_text
+from dvrk_cmaes.io.json_file import write_image, write_json, write_text
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.synth.masks import SLIGHT, simulate_segmentation, tissue_region
 from measuring.report import SHARED

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.atomic import write_text
+from dvrk_cmaes.io.json_file import write_text
 from measuring.report import MEASUREMENTS, ROOT, markdown
 
 README: Final = ROOT / "README.md"

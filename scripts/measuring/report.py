@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.io.atomic import write_text
+from dvrk_cmaes.io.json_file import write_text
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 """The checkout."""

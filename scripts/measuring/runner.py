@@ -17,7 +17,7 @@ from typing import Any, Final, Literal
 
 from dvrk_cmaes.cli import main
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.io.json_file import write_json
 
 Command = Literal["estimate", "calibrate", "track", "pnp"]
 

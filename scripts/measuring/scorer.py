@@ -230,7 +230,7 @@ def reliability(frames: Sequence[Scored]) -> list[dict[str, Any]]:
 
 
 def fitted_probability(frames: Sequence[Scored]) -> list[dict[str, float]]:
-    """Return the constants of `dvrk_cmaes.pose.probability` for which the outcomes of frames are most likely."""
+    """Return the constants of `dvrk_cmaes.pose.expected_error` for which the outcomes of frames are most likely."""
     known = [f for f in frames if f.std_mm and f.error_mm < WITHOUT_POSE_MM]
     doubt = np.array([max(1 - (1.0 if f.mode_probability is None else f.mode_probability), 1e-4) for f in known])
     sharp = np.log(NEAR_MM / np.array([f.std_mm for f in known]))

@@ -17,7 +17,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.instrument.arm import Arm
-from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.io.json_file import write_json
 from dvrk_cmaes.synth.levels import LevelName
 from measuring.runner import run
 

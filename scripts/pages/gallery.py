@@ -15,7 +15,7 @@ from typing import Final
 
 import cv2
 
-from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes.io.files import bundled_path
 from dvrk_cmaes.io.video_writer import quiet_ffmpeg
 
 _INTRODUCTION: Final = """\

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from dvrk_cmaes.calibration.cables import MARGIN, CableFit, CableSession, SessionCables, fit_cables
-from dvrk_cmaes.joints.cable_prior import cable_prior, measured_cables
-from dvrk_cmaes.joints.cables import play_of
+from dvrk_cmaes.joints.cable_prior import cable_prior, measured_cables, play_of
 
 NAMES = ("roll", "wrist_pitch", "wrist_yaw", "jaw")
 PRIOR = cable_prior(NAMES)

@@ -20,7 +20,7 @@ from dvrk_cmaes.calibration.session_doubts import (
     resting_on,
 )
 from dvrk_cmaes.calibration.session_masks import SessionMasks
-from dvrk_cmaes.camera.critical import WRONG
+from dvrk_cmaes.camera.rig import WRONG
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.doubts import DISAGREES
 from dvrk_cmaes.pose.judge import far_joints

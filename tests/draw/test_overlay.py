@@ -12,7 +12,7 @@ from dvrk_cmaes import Body, Camera, Renderer, Result
 from dvrk_cmaes.draw.canvas import DARK, GREEN, ORANGE, PURPLE, SKY_BLUE, VERMILLION, WHITE, YELLOW
 from dvrk_cmaes.draw.overlay import draw_overlay
 from dvrk_cmaes.draw.panels import header
-from dvrk_cmaes.draw.projection import project_visible, projected_edges, skeleton_lines
+from dvrk_cmaes.draw.track_overlay import project_visible, projected_edges, skeleton_lines
 from dvrk_cmaes.results.result import Quality
 
 PINHOLE = Camera(640, 480, 1030.0, 1030.0, 318.2, 243.7)

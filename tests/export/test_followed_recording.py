@@ -11,7 +11,7 @@ from helpers.commands import run_command
 from helpers.files import write_json
 from helpers.track_rows import row
 
-from dvrk_cmaes.results.track_files import TRACKS, line_of
+from dvrk_cmaes.results.tracked import TRACKS, line_of
 
 ROWS = [row(0), row(1), row(2, "doubtful", "no mask"), row(3, "lost")]
 

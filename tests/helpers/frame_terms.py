@@ -10,7 +10,7 @@ from dvrk_cmaes import Body, Camera, Renderer
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import Readings
-from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
+from dvrk_cmaes.pose.terms.sized_view import OutlineTerm
 from dvrk_cmaes.pose.terms.term import Approximation, Term
 from dvrk_cmaes.pose.views import FrameView
 

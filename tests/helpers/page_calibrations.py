@@ -14,7 +14,7 @@ from dvrk_cmaes.calibration.cables import CablesAlone, SessionCables
 from dvrk_cmaes.calibration.document import Agreement
 from dvrk_cmaes.draw.track_overlay import draw_outlines
 from dvrk_cmaes.instrument.arm import base_from_root
-from dvrk_cmaes.results.paths import left_out_path
+from dvrk_cmaes.results.folder import left_out_path
 from dvrk_cmaes.results.tracked import TrackView
 from helpers.files import write_image, write_json
 from helpers.page_results import JOINTS, result, write_results

@@ -15,7 +15,7 @@ import numpy as np
 
 from dvrk_cmaes import Result
 from dvrk_cmaes.draw.panels import footer, header
-from dvrk_cmaes.io.atomic import encoded_image
+from dvrk_cmaes.io.json_file import encoded_image
 from dvrk_cmaes.report.page import write_page
 from dvrk_cmaes.results.result import Alternative, Quality
 from dvrk_cmaes.runs.frame import FrameOutcome, write_outcome

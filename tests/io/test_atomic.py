@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from dvrk_cmaes.io import output
-from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.io.json_file import write_json
 from dvrk_cmaes.io.output import whole_file, write_bytes
 
 

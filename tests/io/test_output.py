@@ -16,7 +16,7 @@ import pytest
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.io import output as output_module
-from dvrk_cmaes.io.atomic import write_text
+from dvrk_cmaes.io.json_file import write_text
 from dvrk_cmaes.io.output import LONG, Output, check_files, output, remove, whole_file
 
 FILES = ("frames/a.json", "summary.json")

@@ -11,7 +11,7 @@ import pytest
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.io import output as output_module
-from dvrk_cmaes.io.atomic import write_text
+from dvrk_cmaes.io.json_file import write_text
 from dvrk_cmaes.io.output import output, whole_folder
 
 

@@ -19,8 +19,8 @@ from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.interpolation import Sparseness
 from dvrk_cmaes.pose import doubts
 from dvrk_cmaes.pose.doubts import LIMITS, NO_OUTER_READINGS, NO_READINGS, NOT_FOUND
+from dvrk_cmaes.pose.expected_error import tip_probability
 from dvrk_cmaes.pose.judge import doubts_in_views, exchanged_readings, judge
-from dvrk_cmaes.pose.probability import tip_probability
 from dvrk_cmaes.pose.refine.gauss_newton import Fit
 from dvrk_cmaes.results.result import ExpectedError, Quality, ViewCheck
 

@@ -16,12 +16,9 @@ from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.refine import DERIVATIVES
 from dvrk_cmaes.pose.search.objective import project_tips
 from dvrk_cmaes.pose.terms.coverage import Coverage
-from dvrk_cmaes.pose.terms.expected import Expected
-from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
-from dvrk_cmaes.pose.terms.readings_term import ReadingsTerm
-from dvrk_cmaes.pose.terms.sized_view import SizedView
+from dvrk_cmaes.pose.terms.sized_view import OutlineTerm, SizedView
 from dvrk_cmaes.pose.terms.term import Term
-from dvrk_cmaes.pose.terms.tips_term import TipsTerm
+from dvrk_cmaes.pose.terms.tips_term import Expected, ReadingsTerm, TipsTerm
 
 CAMERA = Camera(640, 480, 880, 880, 330, 250, (-0.2, 0.05, 0.001, 0.0, 0.0))
 RIGHT_FROM_LEFT = transform(exp_rotation([0.01, -0.02, 0.01]), [-0.005, 0.0, 0.0003])

@@ -9,7 +9,7 @@ import pytest
 from helpers.track_rows import JOINTS, row
 
 from dvrk_cmaes import InputError
-from dvrk_cmaes.results.track_files import line_of, read_tracks
+from dvrk_cmaes.results.tracked import line_of, read_tracks
 
 
 def whole() -> dict[str, Any]:

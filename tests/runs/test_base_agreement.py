@@ -10,10 +10,9 @@ import numpy as np
 from helpers.canned_results import canned
 
 from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.io.json_file import write_json
 from dvrk_cmaes.pose.doubts import BASE_APART
-from dvrk_cmaes.results.folder import read_results
-from dvrk_cmaes.results.paths import result_path
+from dvrk_cmaes.results.folder import read_results, result_path
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.agreement import base_doubts, compare_bases
 

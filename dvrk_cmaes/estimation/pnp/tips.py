@@ -17,8 +17,7 @@ from dvrk_cmaes.estimation.pnp.points import PointPose, undistort
 from dvrk_cmaes.evidence.shaft_edges import ShaftEdges, shaft_axis
 from dvrk_cmaes.geometry import Float64, Posed, frame_along, moved, project_cylinder, rotation_about_z, transform
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.pose.search.losses import keypoint_loss
-from dvrk_cmaes.pose.search.objective import project_tips
+from dvrk_cmaes.pose.search.objective import keypoint_loss, project_tips
 
 _TURNS: Final = 48  # start angles about the axis
 _SLIDES: Final = np.linspace(-0.03, 0.03, 31)  # m, start positions of the root along the axis, relative to the tips

@@ -11,10 +11,9 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, assess, refine
-from dvrk_cmaes.pose.refine.information import information_of_views
+from dvrk_cmaes.pose.refine.information import ALL, Selection, information_of_views
 from dvrk_cmaes.pose.refine.rig_rotation import Rotation, rotations_of_views
-from dvrk_cmaes.pose.refine.selection import ALL, Selection
-from dvrk_cmaes.pose.search.modes import PoseCandidate, best_per_mode, twin_of
+from dvrk_cmaes.pose.search.starts import PoseCandidate, best_per_mode, twin_of
 from dvrk_cmaes.pose.terms.contour import CorrelatedContour, has_correlated_noise
 from dvrk_cmaes.pose.terms.coverage import Coverage
 from dvrk_cmaes.pose.terms.sized_view import SizedView

@@ -16,10 +16,10 @@ import numpy as np
 from dvrk_cmaes import _kernel
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.geometry import Bool, Float64, Indices, Posed
-from dvrk_cmaes.pose.refine.selection import ALL, Selection
-from dvrk_cmaes.pose.search.modes import PoseCandidate
-from dvrk_cmaes.pose.terms.outline_term import Derivatives, OutlineTerm
-from dvrk_cmaes.pose.terms.profiles import Profiles
+from dvrk_cmaes.pose.refine.information import ALL, Selection
+from dvrk_cmaes.pose.search.starts import PoseCandidate
+from dvrk_cmaes.pose.terms.coverage import Profiles
+from dvrk_cmaes.pose.terms.sized_view import Derivatives, OutlineTerm
 from dvrk_cmaes.pose.terms.term import Approximation, Quadratic, Term, sum_of_costs, sum_of_locals
 
 _DAMPING = (1e-4, 1e-2, 10.0)  # least, first and largest of the Levenberg-Marquardt steps

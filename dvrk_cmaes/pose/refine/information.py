@@ -5,13 +5,24 @@ belongs, because an occluder over the jaws or a shadow beside the shaft makes th
 rough contour the length is a constant: that of a single frame varies by a factor of two around it, which says nothing
 about the error of the pose, and shadows make it longer. What stretches of contour have in common is eliminated (see
 `shared_errors`).
+
+Which of several poses that are refined together are worth further iterations.
+
+Elimination of what each of several frames has for itself, so that only unknowns that all of them share remain.
+
+Let x (D) be a frame's own unknowns and c (E) the shared ones. The frame's terms are quadratic in both, with the blocks
+H, B and C of their information and the slopes s and t where x and c are zero. Beside them, x is expected to be near p
+with the information W. Elimination of x, with S = (H + W)^-1, leaves x = S (W p - s - B c), the gradients W (p - x)
+about p and B^T x + C c + t about c, and the Hessian's blocks W - W S W, W S B and C - B^T S B.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dvrk_cmaes.evidence.outline_noise import CLIP, OutlineNoise, distances_to, sampled
 from dvrk_cmaes.geometry import Float64, Posed
@@ -83,3 +94,89 @@ def _link_variances(outline: OutlinePoints, off: Float64, length: Float64, sigma
     sums = np.bincount(outline.link, length * square)
     lengths = np.bincount(outline.link, length)
     return np.asarray((sums + _SHARED * sigma**2) / (lengths + _SHARED))
+
+
+_OF_OUTLINE = 1 / 3
+"""Difference of the outline's score alone that keeps a pose, as a share of that of the whole score."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The poses that continue after each iteration of a refinement, the best by their scores.
+
+    They are the best ``share`` of those that continued before, and of these such as are close to the best: within
+    ``gap`` of its negative log-likelihood, or within a third of that of the best outline's alone, so that an outline
+    may contradict the readings. At least ``least`` continue in any case.
+    """
+
+    share: float = 1.0
+    gap: float = np.inf
+    least: int = 1
+
+    def continuing(self, scores: ArrayLike, outline_scores: ArrayLike, left: float) -> list[int]:
+        """Return the indices of the poses that continue, best first, if about ``left`` of them continued before.
+
+        ``scores`` are the negative log-likelihoods, ``outline_scores`` the parts of them that come from the outline.
+        """
+        whole, outline = np.asarray(scores), np.asarray(outline_scores)
+        close = (whole <= whole.min() + self.gap) | (outline <= outline.min() + self.gap * _OF_OUTLINE)
+        best = np.argsort(whole, kind="stable")[: max(round(left), self.least)]
+        return [int(i) for place, i in enumerate(best) if place < self.least or close[i]]
+
+
+ALL = Selection()
+"""All poses continue until they have settled."""
+
+
+@dataclass(frozen=True, eq=False)
+class Eliminated:
+    """N frames after elimination of their own D unknowns, of which ``expected`` (N, D) is what is expected.
+
+    ``left`` is half of each frame's sum of squares, at its minimum over the own unknowns, as a function of changes of
+    what is expected and of the shared unknowns, (N, D + E). ``own`` (N, D) are the own unknowns at that minimum and
+    ``gain`` (N, D, D + E) their derivative by the same; ``covariance`` (N, D, D) is theirs, given these.
+    """
+
+    expected: Float64
+    left: Quadratic
+    own: Float64
+    gain: Float64
+    covariance: Float64
+
+    @property
+    def deviation(self) -> Float64:
+        """Difference (N, D) of the own unknowns from what is expected."""
+        return np.asarray(self.own - self.expected)
+
+
+def eliminate(terms: Quadratic, expected: Float64, information: Float64, shared: Float64) -> Eliminated:
+    """Eliminate the own unknowns of N frames.
+
+    Parameters
+    ----------
+    terms
+        Each frame's terms about its own unknowns and E shared ones, (N, D + E).
+    expected : (N, D)
+        What is expected of the own unknowns, as changes from where the terms were approximated.
+    information : (N, D, D)
+        The inverse covariance of the own unknowns about that; zero where nothing is expected.
+    shared : (E,)
+        Values of the shared unknowns, as changes from where the terms were approximated.
+    """
+    own = expected.shape[1]
+    cross, of_shared = terms.information[:, :own, own:], terms.information[:, own:, own:]
+    across = np.swapaxes(cross, 1, 2)
+    covariance = np.asarray(np.linalg.inv(terms.information[:, :own, :own] + information), dtype=np.float64)
+    best = times(covariance, times(information, expected) - (terms.slope[:, :own] + cross @ shared))
+    coupling = np.concatenate([information, -cross], axis=2)
+    left = -(np.concatenate([information, -across], axis=1) @ covariance @ coupling)
+    left[:, :own, :own] += information
+    left[:, own:, own:] += of_shared
+    about_shared = times(across, best) + terms.slope[:, own:] + of_shared @ shared
+    slope = np.concatenate([times(information, expected - best), about_shared], axis=1)
+    return Eliminated(expected, Quadratic(left, slope), best, covariance @ coupling, covariance)
+
+
+def times(matrices: Float64, vectors: Float64) -> Float64:
+    """Multiply matrices (N, D, K) by vectors (N, K)."""
+    return np.asarray(np.einsum("nij,nj->ni", matrices, vectors))

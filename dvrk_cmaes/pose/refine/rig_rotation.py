@@ -14,8 +14,7 @@ import numpy as np
 
 from dvrk_cmaes.camera.rig import turned_place
 from dvrk_cmaes.geometry import Float64, Posed, adjoint, inverse
-from dvrk_cmaes.pose.refine.elimination import eliminate
-from dvrk_cmaes.pose.refine.information import information_of_views
+from dvrk_cmaes.pose.refine.information import eliminate, information_of_views
 from dvrk_cmaes.pose.terms.contour import contour_errors
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_locals

@@ -10,9 +10,8 @@ from dvrk_cmaes.geometry import Float64, Indices, Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search import minimise_each
-from dvrk_cmaes.pose.search.modes import PoseCandidate, first_of_modes, twin_of
 from dvrk_cmaes.pose.search.objective import Objective
-from dvrk_cmaes.pose.search.starts import draw_starts
+from dvrk_cmaes.pose.search.starts import PoseCandidate, draw_starts, first_of_modes, twin_of
 from dvrk_cmaes.silhouette import Renderer
 from dvrk_cmaes.silhouette.moving_points import moving_points
 

@@ -23,8 +23,7 @@ from dvrk_cmaes import _kernel
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN
 from dvrk_cmaes.geometry import Float64, Posed
-from dvrk_cmaes.pose.terms.outline_term import Derivatives, OutlineTerm
-from dvrk_cmaes.pose.terms.sized_view import SizedView
+from dvrk_cmaes.pose.terms.sized_view import Derivatives, OutlineTerm, SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic
 
 _LEAST_SIGMA = 0.6  # px; for more accurate contours the loss on the coverage gives smaller errors

@@ -9,11 +9,19 @@ length s by e changes the sum of squares of an edge blurred with sigma by s e^2 
 squares gives the variance of the outline's error; ``correlation`` px of outline are one independent measurement. The
 masks of one frame come from one segmenter: the variance is one for all views. With a variance of its own, the view
 that happens to fit best would have nearly all the weight.
+
+The loss of the coverage as a function of small changes of a pose, from samples of the difference along the outline.
+
+The difference of blurred coverage and blurred mask is sampled along the normal of each outline point. If the point
+moves outwards by e px, the blurred coverage s px outside its present place becomes larger by e times the density of the
+normal distribution at s whose standard deviation is that of the blur. The sum of the robust loss over all samples is
+therefore a function of the change of the pose that needs no further silhouettes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,11 +29,9 @@ from dvrk_cmaes import _kernel
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
 from dvrk_cmaes.geometry import Float64, Posed
-from dvrk_cmaes.pose.terms.outline_term import Derivatives, OutlineTerm
-from dvrk_cmaes.pose.terms.profiles import Profiles, density
 from dvrk_cmaes.pose.terms.shared_errors import SHOWN, deviations_of, sharing
-from dvrk_cmaes.pose.terms.sized_view import SizedView
-from dvrk_cmaes.pose.terms.term import Quadratic
+from dvrk_cmaes.pose.terms.sized_view import REACH, Derivatives, OutlineTerm, SizedView
+from dvrk_cmaes.pose.terms.term import Approximation, Quadratic
 from dvrk_cmaes.silhouette import OutlinePoints
 
 Columns = Callable[[int, OutlinePoints, Float64], Float64]
@@ -205,3 +211,29 @@ def of_camera(view: SizedView, outline: OutlinePoints) -> Float64:
 def of_margin(outline: OutlinePoints) -> Float64:
     """Return the displacements (N,) of an outline's points by a margin of the mask, px, times the normals' lengths."""
     return np.asarray(np.linalg.norm(outline.normals, axis=1))
+
+
+def density(blur: float) -> list[float]:
+    """Return the change of each sample by a displacement of the outline, 1/px, for a blur, px."""
+    away = np.arange(-REACH, REACH + 1) / (np.sqrt(2) * blur)
+    return [float(value) for value in np.exp(-away * away) / (np.sqrt(2 * np.pi) * blur)]
+
+
+@dataclass(frozen=True, eq=False)
+class Profiles(Approximation):
+    """The samples of C poses in V views: those of the views of the first pose, drawn with outlines, come first.
+
+    factors : (V,) of the views' losses. density : as `density`. cauchy : width of the robust loss.
+    """
+
+    compared: Sequence[_kernel.Comparison]
+    factors: Sequence[float]
+    density: Sequence[float]
+    cauchy: float
+
+    def normal_equations(self, change: Float64) -> tuple[Float64, Float64]:
+        """Compute information (C, D, D) and slope (C, D) of the robust loss at changes (C, D) of the poses.
+
+        They are in sums of squares of coverage, with the weights of the Cauchy loss at the changed poses.
+        """
+        return _kernel.normal_equations(self.compared, self.factors, self.density, self.cauchy, change)

@@ -1,16 +1,21 @@
-"""Jaw tips that were given in a view as a term, and all terms of a frame beside its outline."""
+"""Jaw tips that were given in a view as a term, and all terms of a frame beside its outline.
+
+The readings of the joints and their limits as a term.
+
+What is expected of a pose beforehand, for example by a session, as a term.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.geometry import Float64, Posed
-from dvrk_cmaes.joints.prior import Readings
+from dvrk_cmaes.joints.prior import LIMIT_SIGMA, Readings
 from dvrk_cmaes.pose.search.objective import project_tips
-from dvrk_cmaes.pose.terms.readings_term import ReadingsTerm
 from dvrk_cmaes.pose.terms.term import Quadratic, Term
 from dvrk_cmaes.pose.views import FrameView
 
@@ -67,3 +72,56 @@ class TipsTerm(Term):
 def terms_of_frame(views: Sequence[FrameView], readings: Readings, config: OutlineConfig, *more: Term) -> list[Term]:
     """Return the terms of a frame's readings and given tips, and those of what else is expected of its pose."""
     return [ReadingsTerm(readings), *TipsTerm.of_views(views, config), *more]
+
+
+@dataclass(frozen=True, eq=False)
+class ReadingsTerm(Term):
+    """Deviations of the joints from their ``readings``, and beyond their limits."""
+
+    readings: Readings
+
+    def cost(self, at: Posed) -> Float64:
+        """Return the sum of squares (C,)."""
+        return self.readings.cost(at.joints)
+
+    def local(self, at: Posed) -> Quadratic:
+        """Return the approximation of half of it, which is exact but for the corners at the limits."""
+        weight, centre = self.readings.weight_and_centre
+        quadratic = Quadratic.zero(len(at), 6 + len(weight))
+        beyond = np.maximum(at.joints - self.readings.high, 0) - np.maximum(self.readings.low - at.joints, 0)
+        np.einsum("cii->ci", quadratic.information)[:, 6:] = weight + (beyond != 0) / LIMIT_SIGMA**2
+        quadratic.slope[:, 6:] = weight * (at.joints - centre)
+        quadratic.slope[:, 6:] += beyond / LIMIT_SIGMA**2
+        return quadratic
+
+    def allowed(self, at: Posed) -> Posed:
+        """Return the poses with joints clipped to at most ``LIMIT_SIGMA`` beyond their limits."""
+        low, high = self.readings.low - LIMIT_SIGMA, self.readings.high + LIMIT_SIGMA
+        return replace(at, joints=np.clip(at.joints, low, high))
+
+
+@dataclass(frozen=True, eq=False)
+class Expected(Term):
+    """A normal distribution of pose and joints.
+
+    ``mean`` is in the reference camera; ``information`` (6 + J, 6 + J) is the inverse covariance of the small changes
+    from it, m and rad.
+    """
+
+    mean: Posed
+    information: Float64
+
+    @classmethod
+    def of(cls, mean: Posed, covariance: Float64) -> Expected:
+        """Return the distribution with a covariance (6 + J, 6 + J)."""
+        return cls(mean, np.asarray(np.linalg.inv(covariance), dtype=np.float64))
+
+    def cost(self, at: Posed) -> Float64:
+        """Return the squared Mahalanobis distance (C,) from the mean."""
+        off = at.minus(self.mean)
+        return np.asarray(np.einsum("ci,ij,cj->c", off, self.information, off))
+
+    def local(self, at: Posed) -> Quadratic:
+        """Return the approximation of half of it, which is exact but for the curvature of rotations."""
+        information = np.broadcast_to(self.information, (len(at), *self.information.shape))
+        return Quadratic(information, at.minus(self.mean) @ self.information)
