@@ -18,16 +18,7 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.io.csv_file import Table, fixed
 from dvrk_cmaes.report.curves import Chart, Curve
 from dvrk_cmaes.report.tables import calibration_lines, calibration_tables, result_lines, result_tables
-from dvrk_cmaes.report.template import (
-    Entry,
-    KeyFigure,
-    Page,
-    Part,
-    Picture,
-    Pictures,
-    counted_reasons,
-    write,
-)
+from dvrk_cmaes.report.template import Entry, KeyFigure, Page, Part, Picture, Pictures, counted_reasons, write
 from dvrk_cmaes.results.folder import (
     ALONE,
     SESSION,
@@ -72,44 +63,39 @@ def session_page(folder: ResultsFolder) -> Page:
         calibration = SessionCalibration.from_dict(folder.session, where=str(folder.folder / SESSION))
     left = {} if calibration is None else calibration.left_out
     solved = [result for result in results if result.frame not in left]  # the session's figures are of these
-    together = sum(result.source == "session" for result in results)
     summary = folder.summary or {}
     missing, session = summary.get("missing"), summary.get("session")
     notes = []
     if isinstance(missing, list) and missing:
         notes.append(f"{len(missing)} more frame{' has' if len(missing) == 1 else 's have'} no result yet.")
-    if together:
-        all_of = "All" if together == len(results) else str(together)
-        notes.append(
-            f"{all_of} frames were solved together with their session: how well they agree says nothing about how "
-            "accurate they are."
-        )
     pictures = Pictures(folder.folder)
     documents = {path.stem: path.relative_to(folder.folder).as_posix() for path in result_paths(folder.folder)}
     entries = _entries(folder, calibration, documents, pictures)
-    parts = [] if calibration is None else list(_calibration_parts(folder, calibration))
+    first, *parts = [None] if calibration is None else _calibration_parts(folder, calibration)
+    alerts = dict.fromkeys([*summary.get("warnings", ()), *(() if calibration is None else calibration.warnings)])
     name = f"{PurePath(session).name} · " if isinstance(session, str) else ""
     instruments = ", ".join(sorted({result.instrument for result in results} - {""}))
     version = results[0].version
     return Page(
-        "Instrument poses",
+        "Instrument poses" if calibration is None else "Calibration of an arm and its camera",
         f"{name}{len(results)} frame{'' if len(results) == 1 else 's'}{f' of {instruments}' if instruments else ''}"
         + (f" · dvrk-cmaes {version}" if version else ""),
         {status: sum(result.status == status for result in results) for status in reversed(_STATUSES)},
-        alerts=[*summary.get("warnings", ()), *(() if calibration is None else calibration.warnings)],
-        notes=[*notes, *(f"In every frame: {text}" for text in common_warnings(results))],
+        alerts=list(alerts),
+        notes=[*notes, *(f"In every frame: {text}" for text in common_warnings(results) if text not in alerts)],
         figures=list(session_figures(solved, summary)),
         reasons=counted_reasons(result.reasons for result in results),
+        first=first,
         parts=[*parts, Part("Curves", charts=session_charts(results))],
         entries=entries,
     )
 
 
-def doubt_key(result: Result) -> tuple[int, int, float, float]:
-    """Return a sort key that puts the most doubtful first: by status, number of reasons, then least overlap."""
-    q = result.quality
-    overlap, outline = (-1.0, math.inf) if q is None else (q.iou, q.contour_px_95)
-    return _STATUSES.index(result.status), -len(result.reasons), overlap, -outline
+def doubt_key(result: Result) -> tuple[int, float, float]:
+    """Return a sort key that puts the most doubtful first: by status, probability of the tips, then overlap."""
+    overlap = -1.0 if result.quality is None else result.quality.iou
+    near = -1.0 if result.tip_probability is None else result.tip_probability
+    return _STATUSES.index(result.status), near, overlap
 
 
 def common_warnings(results: Sequence[Result]) -> list[str]:
@@ -147,7 +133,7 @@ def session_figures(results: Sequence[Result], summary: Mapping[str, Any]) -> It
 
 
 def session_charts(results: Sequence[Result]) -> list[Chart]:
-    """Chart the joints' corrections and the tips, over time or the frames' names."""
+    """Chart how far joints are from their readings, and the tips, over time or the frames' names."""
     times = [result.time for result in results if result.time is not None]
     timed = len(times) == len(results) > 1 and max(times) > min(times)
     places = np.array(times) - min(times) if timed else np.arange(len(results), dtype=np.float64)
@@ -159,20 +145,18 @@ def session_charts(results: Sequence[Result]) -> list[Chart]:
         return Chart(title, across, up, drawn, note, names=() if timed else frames, least=1.0)
 
     joints = dict.fromkeys(name for result in results for name in result.joints)
-    corrections = {name: [math.degrees(_correction(result, name)) for result in results] for name in joints}
+    apart = {
+        name: [math.degrees(one.joints.get(name, math.nan) - one.readings.get(name, math.nan)) for one in results]
+        for name in joints
+    }
     tips = np.array([np.mean(result.tips, axis=0) if result.tips else [np.nan] * 3 for result in results]) * 1e3
-    charts = [chart("Joint corrections", "found - read, deg", corrections, "Found less read.")]
+    charts = [chart("Joints, found less read", "found - read, deg", apart, "Found less read.")]
     if np.isfinite(tips).all(axis=1).sum() > 1:
         off = tips - np.nanmedian(tips, axis=0)
         note = "Mean of the tips, mm from its median: x right, y down, z forward."
         curves = {axis: off[:, k].tolist() for k, axis in enumerate("xyz")}
         charts.append(chart("Tips in the camera", "mm from the median", curves, note))
     return charts
-
-
-def _correction(result: Result, joint: str) -> float:
-    """Return a joint's found less read, rad; NaN if it was not read or not found."""
-    return result.joints.get(joint, math.nan) - result.readings.get(joint, math.nan)
 
 
 # frames
@@ -223,15 +207,20 @@ def _lines(result: Result, calibration: SessionCalibration | None) -> Iterator[s
 
 def _calibration_parts(folder: ResultsFolder, found: SessionCalibration) -> Iterator[Part]:
     """Yield what the page says of a calibration: base and offsets, and each frame as the others predict it."""
-    note = f"One place of the arm's base and one offset a joint, from {len(found.frames)} frames solved together."
+    note = (
+        f"One place of the arm's base and one offset a joint, from {len(found.frames)} frames solved together: how "
+        "well these agree says nothing about how accurate they are."
+    )
     if (folder.folder / ALONE / "report.html").is_file():
         note += f" The same frames, each solved by itself: {ALONE}/report.html."
-    yield Part(
-        f"Calibration: {found.status}",
-        notes=[note, *calibration_lines(found)],
-        tables=list(calibration_tables(found)),
-        charts=[_lag_chart(found)],
-    )
+    reasons = [result.reasons for result in folder.frames.values() if result.status != "ok"]
+    if found.status == "ok" and found.leave_one_out and 2 * len(reasons) > len(folder.frames):
+        kind, number = counted_reasons(reasons)[0]
+        note += (
+            f" It is ok, since the session predicts frames that it has not seen (mean IoU {found.predicted_iou:.3f}); "
+            f"{len(reasons)} of {len(folder.frames)} frames are not known well enough, {number} of them for: {kind}."
+        )
+    yield calibration_part(found, note)
     predicted = {name: one for name, one in found.leave_one_out.items() if name in folder.frames}
     predictions = sorted((one.iou, name, one.contour_px) for name, one in predicted.items())
     if not predictions:
@@ -251,13 +240,17 @@ def _calibration_parts(folder: ResultsFolder, found: SessionCalibration) -> Iter
     )
 
 
+def calibration_part(found: SessionCalibration, *notes: str) -> Part:
+    """Return what a page says of base, offsets and lag, after some notes."""
+    lines, tables = [*notes, *calibration_lines(found)], list(calibration_tables(found))
+    return Part(f"Calibration: {found.status}", lines, tables, [_lag_chart(found)])
+
+
 def _lag_chart(found: SessionCalibration) -> Chart | None:
     """Chart the disagreement of the frames over the lag; None if no lag was searched."""
     curve = found.lag_curve
     if curve is None or len(curve.lags) < 2:
         return None
     note = "Mean squared disagreement of the frames with one base, in expected errors, were the images this late."
-    unit = "s" if curve.unit == "s" else "frames"
-    return Chart(
-        "How late the images are", f"lag, {unit}", "disagreement", [Curve("", curve.lags, curve.misfit)], note=note
-    )
+    drawn = Curve("", curve.lags, curve.misfit)
+    return Chart("How late the images are", f"lag, {curve.unit}", "disagreement", [drawn], note)

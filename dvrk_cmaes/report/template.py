@@ -102,8 +102,8 @@ class Player:
 class Page:
     """What a page shows.
 
-    alerts : what concerns all frames, and makes them doubtful. reasons : kinds of reasons, with numbers of frames.
-    entries : frames, the worst first, of ``of`` frames.
+    alerts : what concerns all frames. reasons : kinds of reasons, with numbers of frames. first : the part before the
+    frames. entries : frames, the worst first.
     """
 
     title: str
@@ -113,6 +113,7 @@ class Page:
     notes: Sequence[str] = ()
     figures: Sequence[KeyFigure] = ()
     reasons: Sequence[tuple[str, int]] = ()
+    first: Part | None = None
     parts: Sequence[Part] = ()
     entries: Sequence[Entry] = ()
     heading: str = "Frames, the worst first"

@@ -50,9 +50,10 @@ def result(name: str, **changes: object) -> Result:
     return replace(one, **changes)  # type: ignore[arg-type]
 
 
-def doubtful(name: str, *reasons: str, iou: float = 0.9) -> Result:
-    """Give a doubtful frame with reasons."""
-    return result(name, status="doubtful", reasons=reasons, quality=Quality(iou, 0.2, {}, 1.5, 6.0))
+def doubtful(name: str, *reasons: str, iou: float = 0.9, near: float | None = None) -> Result:
+    """Give a doubtful frame with reasons, whose tips are ``near`` the truth with a probability."""
+    quality = Quality(iou, 0.2, {}, 1.5, 6.0)
+    return result(name, status="doubtful", reasons=reasons, quality=quality, tip_probability=near)
 
 
 def failed(name: str, reason: str = "no pose: the mask is empty") -> Result:

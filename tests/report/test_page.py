@@ -28,14 +28,17 @@ def at_rcm(name: str, *millimetres: float) -> Result:
 
 def test_worst_frames_come_first_with_their_overlays(tmp_path: Path) -> None:
     frames = [
-        result("fine"),
-        doubtful("one reason", "a: x"),
-        doubtful("two reasons", "a: x", "b: y", iou=0.95),
-        doubtful("one reason, less overlap", "a: x", iou=0.8),
+        result("fine", tip_probability=0.9),
+        result("less sure", tip_probability=0.8),
+        doubtful("doubtful", "a: x", "b: y", near=0.6, iou=0.8),
+        doubtful("less sure, doubtful", "a: x", near=0.5),
+        doubtful("less overlap", "a: x", near=0.5, iou=0.8),
+        doubtful("not stated", "a: x", near=None, iou=0.95),
         failed("no pose"),
     ]
     page = page_of(write_results(tmp_path, frames))
-    assert page.frames == ["no pose", "two reasons", "one reason, less overlap", "one reason", "fine"]
+    doubts = ["not stated", "less overlap", "less sure, doubtful", "doubtful"]
+    assert page.frames == ["no pose", *doubts, "less sure", "fine"]
     assert sum(address.startswith("data:image/webp") for address in page.addresses) == len(frames)
 
 
@@ -130,6 +133,18 @@ def test_warning_of_all_frames_is_shown_once_for_all(tmp_path: Path) -> None:
 # calibrations
 
 
+def test_calibration_is_ok_over_frames_that_are_not_and_the_page_says_why_and_each_warning_once(tmp_path: Path) -> None:
+    text = "no camera file: a focal length of 1034 px"
+    frames = [replace(one, status="doubtful", reasons=("far: x",), remarks=(text,)) for one in solved(NAMES)]
+    page = page_of(write_calibrated(tmp_path, frames, calibration(frames, remarks=(text,)))).text
+    assert "Calibration of an arm and its camera 5 frames" in page
+    assert page.count(text) == 1
+    assert "It is ok, since the session predicts frames that it has not seen" in page
+    assert "5 of 5 frames are not known well enough, 5 of them for: far." in page
+    fine = page_of(write_calibrated(tmp_path / "ok", solved(NAMES), calibration(solved(NAMES)))).text
+    assert "It is ok" not in fine
+
+
 def test_doubts_of_a_calibration_come_first_and_what_it_cannot_tell_is_said(tmp_path: Path) -> None:
     frames = solved(NAMES)
     words = {
@@ -143,11 +158,11 @@ def test_doubts_of_a_calibration_come_first_and_what_it_cannot_tell_is_said(tmp_
     text = page_of(write_calibrated(tmp_path, frames, session)).text
     order = (
         "Of the whole: the arm's base or the camera moved between frames b and c",
-        "left out of the calibration: its mask is of another arm",
         "Calibration: doubtful One place of the arm's base",
         "images are 2.00 frames (0.080 s) later than the readings, std 0.10 frames; taken out of the",
         "not determined by this session: offset of <b>roll</b>",
         "How late the images are",
+        "left out of the calibration: its mask is of another arm",
         "Leave one out: each frame as the others predict it, the worst first Its image",
     )
     places = [text.index(part) for part in order]
