@@ -27,12 +27,13 @@ from dvrk_cmaes.cli.options import (
 from dvrk_cmaes.cli.session_tools import (
     answer_by_arm,
     doubt_exchanged,
+    found_lines,
     output_folder,
     read_arms,
     reason_lines,
     write_bases,
 )
-from dvrk_cmaes.cli.terminal import DOUBTFUL, INTERRUPTED, STATUS_STYLES, Line, note, progress, table_lines, warn
+from dvrk_cmaes.cli.terminal import DOUBTFUL, INTERRUPTED, STATUS_STYLES, Line, note, progress, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.frame import ArmInSession
 
-_MOST_LISTED = 10
 _LEAST_KEYFRAMES = 3
 _FIRST_FRAMES = 30  # at most, from which a camera without a file is found first
 
@@ -276,14 +276,9 @@ def _is_doubtful(solved: SolvedSession) -> bool:
 
 def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
     """Yield the lines of a calibration: base, offsets, frames left out, leave-one-out errors, and the files written."""
-    from dvrk_cmaes.report.tables import calibration_lines, calibration_tables
-
-    calibration = solved.calibration
-    for doubt in calibration.doubts:
+    for doubt in solved.calibration.doubts:
         yield Line(f"doubtful: {doubt}", STATUS_STYLES["doubtful"])
-    for table in calibration_tables(calibration):
-        yield from table_lines(table, _MOST_LISTED)
-    yield from map(Line, calibration_lines(calibration))
+    yield from found_lines(solved.calibration)
     yield from reason_lines({name: result.reasons for name, result in solved.results.items()})
     doubtful = [result for result in solved.results.values() if result.status == "doubtful"]
     if doubtful:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dvrk_cmaes.cli.options import TWIN, CalibrationOptions, ReadingOptions, joint_files, load_tool
-from dvrk_cmaes.cli.terminal import Line, answer, frames_text, note, show, warn
+from dvrk_cmaes.cli.terminal import Line, answer, frames_text, note, show, table_lines, warn
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import listed, no_folder
 
@@ -109,6 +109,7 @@ def _read_arm(
 
 
 _MOST_REASONS = 8
+_MOST_LISTED = 10
 
 
 def pictures_at(path: Path) -> tuple[Path, str | None]:
@@ -141,6 +142,15 @@ def answer_by_arm(documents: Mapping[str, Any], lines: Mapping[str, Iterable[Lin
     """Print the documents of all arms as JSON, or else their lines, those of each of several below its name."""
     titled = ([*([Line(name, "bold")] if name else []), *own] for name, own in lines.items())
     answer(documents.get("", documents), (line for own in titled for line in own), json=json)
+
+
+def found_lines(calibration: SessionCalibration) -> Iterator[Line]:
+    """Yield the lines of a calibration: base, offsets, frames left out, lag, and leave-one-out errors."""
+    from dvrk_cmaes.report.tables import calibration_lines, calibration_tables
+
+    for table in calibration_tables(calibration):
+        yield from table_lines(table, _MOST_LISTED)
+    yield from map(Line, calibration_lines(calibration))
 
 
 def reason_lines(reasons: Mapping[str, Sequence[str]]) -> Iterator[Line]:

@@ -25,7 +25,14 @@ from dvrk_cmaes.cli.options import (
     SessionOptions,
     check_range,
 )
-from dvrk_cmaes.cli.session_tools import answer_by_arm, output_folder, read_arms, reason_lines, write_bases
+from dvrk_cmaes.cli.session_tools import (
+    answer_by_arm,
+    found_lines,
+    output_folder,
+    read_arms,
+    reason_lines,
+    write_bases,
+)
 from dvrk_cmaes.cli.terminal import (
     DOUBTFUL,
     INTERRUPTED,
@@ -297,18 +304,13 @@ def _compared(folder: Path, arms: Mapping[str, TrackedArm], target: Path, *, qui
 
 def _lines(arm: TrackedArm) -> Iterator[Line]:
     """Yield the lines about an arm that was followed."""
-    import numpy as np
-
     from dvrk_cmaes.results.tracked import VIDEO
 
     counts = ", ".join(f"{arm.counts[name]} {name}" for name in ("ok", "doubtful", "lost") if arm.counts.get(name))
     yield Line(f"{frames_text(len(arm.rows))}: {counts}", "bold")
     yield from reason_lines({row["frame"]: row["reasons"] for row in arm.rows})
     if arm.calibration is not None:
-        lag = arm.calibration.lag
-        yield Line("lag: not determined" if lag is None else f"lag: {lag.describe()}")
-        offsets = ", ".join(f"{name} {np.degrees(v):+z.1f}" for name, v in list(arm.calibration.offsets.items())[1:])
-        yield Line(f"offsets, deg (true = reading + offset): {offsets}")
+        yield from found_lines(arm.calibration)
     if arm.rows:
         yield Line(f"written: {arm.out / 'tracks.jsonl'}")
     if not arm.interrupted:

@@ -16,6 +16,7 @@ from dvrk_cmaes.config import __version__
 from dvrk_cmaes.draw.track_overlay import draw_outlines
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.report.curves import Chart, Curve
+from dvrk_cmaes.report.page import calibration_part
 from dvrk_cmaes.report.template import Entry, KeyFigure, Page, Part, Picture, Player, counted_reasons, webp, write
 from dvrk_cmaes.results.tracked import TrackView
 
@@ -151,6 +152,7 @@ def track_page(recording: FollowedRecording) -> Page:
         notes=notes,
         figures=list(_figures(recording, events)),
         reasons=counted_reasons(row["reasons"] for row in rows),
+        first=None if recording.calibration is None else calibration_part(recording.calibration),
         parts=[Part("Over time", charts=track_charts(recording))],
         entries=entries,
         heading="Places to look at, the worst first",
@@ -168,8 +170,7 @@ def _figures(recording: FollowedRecording, events: Sequence[TrackEvent]) -> Iter
     note = "followed in every frame"
     if gaps:
         longest = max(gaps, key=lambda event: event.frames)
-        many = "" if longest.frames == 1 else "s"
-        note = f"longest: {longest.frames} frame{many}, from {rows[longest.first]['frame']}"
+        note = f"longest: {longest.frames} frame{'s'[: longest.frames - 1]}, from {rows[longest.first]['frame']}"
     yield KeyFigure("Lost", {0: "never", 1: "once"}.get(len(gaps), f"{len(gaps)} times"), note)
     overlaps = recording.overlaps
     if np.isfinite(overlaps).any():
@@ -190,9 +191,6 @@ def _figures(recording: FollowedRecording, events: Sequence[TrackEvent]) -> Iter
         far = "" if last["tip_mm"] is None else f", tips to {last['tip_mm']:.1f} mm by the last solution"
         note = f"{last['keyframes']} keyframes at the end, {last['solved']} solved{far}"
         yield KeyFigure("Base known", "not known" if first is None else f"from frame {first}", note)
-    lag = None if recording.calibration is None else recording.calibration.lag
-    if lag is not None:
-        yield KeyFigure("Lag", lag.text, lag.describe())
 
 
 def track_charts(recording: FollowedRecording) -> list[Chart]:
@@ -201,12 +199,13 @@ def track_charts(recording: FollowedRecording) -> list[Chart]:
     across = "time, s" if recording.timed else "frame"
     joints = list(dict.fromkeys(name for row in rows for name in row["joints"]))
     offsets = list(dict.fromkeys(name for row in rows for name in row.get("offsets") or {}))
-    found = [Curve(name, times, np.degrees(_column(rows, "joints", name)), colour=k) for k, name in enumerate(joints)]
-    read = [
-        Curve(name, times, np.degrees(recording.readings[name]), colour=k, faint=True)
-        for k, name in enumerate(joints)
-        if name in recording.readings
-    ]
+    colours = {name: k for k, name in enumerate(dict.fromkeys([*joints, *offsets]))}
+
+    def curve(name: str, y: Float64, *, faint: bool = False) -> Curve:
+        return Curve(name, times, y, colour=colours.get(name), faint=faint)
+
+    found = [curve(name, np.degrees(_column(rows, "joints", name))) for name in joints]
+    read = [curve(k, np.degrees(read), faint=True) for k, read in recording.readings.items() if k in joints]
     tips = 1e3 * np.array([np.mean(row["tips"], axis=0) if row["tips"] else [np.nan] * 3 for row in rows])
     middle = np.nanmedian(tips, axis=0) if np.isfinite(tips).any() else np.zeros(3)
     known = {name: np.degrees(_column(rows, "offsets", name)) for name in offsets}
@@ -220,7 +219,7 @@ def track_charts(recording: FollowedRecording) -> list[Chart]:
     return [
         Chart("Joints", across, "deg", [*found, *read], "Found, and faintly as the robot read them.", seeks=True),
         *(
-            Chart(title, across, up, [Curve(name, times, y) for name, y in own.items()], note, least=least, seeks=True)
+            Chart(title, across, up, [curve(*item) for item in own.items()], note, least=least, seeks=True)
             for title, up, own, note, least in charts
         ),
     ]

@@ -6,12 +6,14 @@ import json
 import re
 from dataclasses import replace
 
+from helpers.page_calibrations import calibration, solved
 from helpers.page_results import Page
 from helpers.track_rows import recording, row
 
 from dvrk_cmaes.report.template import rendered
 from dvrk_cmaes.report.track_page import (
     FollowedRecording,
+    track_charts,
     track_events,
     track_page,
 )
@@ -55,6 +57,17 @@ def test_player_has_the_pictures_with_their_times() -> None:
     data = json.loads(text[1])
     assert (data["frames"], data["times"], data["statuses"]) == (["0000", "0003"], [0.0, 0.1], ["ok", "ok"])
     assert all(picture.startswith("data:image/webp") for picture in data["pictures"])
+
+
+def test_page_has_the_base_before_the_places_and_one_colour_for_each_joint() -> None:
+    followed = recording([row(0), row(1, "lost", LOST), row(2)])
+    page = page_of(replace(followed, calibration=calibration(solved("ab"))))
+    assert page.text.index("arm's base (RCM): position") < page.text.rindex("Places to look at, ")
+    joints, offsets, *_ = track_charts(followed)
+    colours = {curve.name: curve.colour for curve in joints.curves}
+    own = {curve.name: curve.colour for curve in offsets.curves}
+    assert len(set((colours | own).values())) == len(colours | own)
+    assert {name: own[name] for name in colours} == colours
 
 
 def test_texts_are_escaped() -> None:
