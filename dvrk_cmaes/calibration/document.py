@@ -196,7 +196,7 @@ class SessionCalibration:
             done = taken if self.lag.applied else "zero within its error, not taken out"
             yield f"lag: {self.lag.describe()}; {done}"
         if self.camera is not None:
-            yield f"camera, against its file: {self.camera.describe()}"
+            yield f"camera, against the one used: {self.camera.describe()}"
         yield from (block.text for block in self.blocks.values())
         yield from (view.describe() for view in self.rig)
         yield from (each.describe() for each in (self.masks,) if each is not None)

@@ -79,6 +79,7 @@ _MODELS = {
     "none": ("", "no distortion", "undistorted"),
 }
 _MODEL_OF = {re.sub(r"[^a-z]", "", n.lower()): model for model, names in _MODELS.items() for n in (model, *names)}
+_COUNTS = "458"  # of coefficients, which may end a model's name
 _PINHOLE = ("pinhole", "perspective", "simplepinhole")
 _STRICT_ROLES = ("matrix", "lens", "projection", "fx", "fy", "cx", "cy")
 
@@ -390,7 +391,7 @@ def _model(where: str, fields: _Fields) -> str | None:
     found: dict[str, str] = {}
     for role in ("model", "camera model"):
         name, given = fields.get(role, (role, None))
-        letters = re.sub(r"[^a-z]", "", str(given).lower()).removeprefix("distortion") if isinstance(given, str) else ""
+        letters = re.sub(r"[^a-z0-9]", "", str(given).lower()).removeprefix("distortion").rstrip(_COUNTS)
         if given is None or (role == "camera model" and letters in _PINHOLE):
             continue
         if not isinstance(given, str) or letters not in _MODEL_OF:

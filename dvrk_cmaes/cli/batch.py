@@ -63,8 +63,8 @@ class BatchOptions:
     frames
         Estimate only the frames whose names match this shell pattern, e.g. "00*"; all frames by default.
     resume
-        --resume keeps existing results but those of failed frames; they must have been made from the same files with
-        the same settings. --overwrite removes all first.
+        --resume, as by default, keeps existing results but those of failed frames; they must have been made from the
+        same files with the same settings. --overwrite removes all first.
     joints
         File of readings to use instead of the session's own, or none, to use none. May be given several times.
     label
@@ -85,7 +85,7 @@ class BatchOptions:
 
     out: Path | None = None
     frames: str | None = None
-    resume: Annotated[bool, Parameter(negative="--overwrite")] = True
+    resume: Annotated[bool, Parameter(negative="--overwrite", show_default=False)] = True
     joints: Annotated[tuple[Path, ...], Parameter(negative=(), show_default=False)] = ()
     label: str | None = None
     pick: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None

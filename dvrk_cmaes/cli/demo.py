@@ -43,6 +43,8 @@ def demo(
     from dvrk_cmaes.frames.frame import read_frame
     from dvrk_cmaes.frames.session_folder import read_session
     from dvrk_cmaes.io.files import bundled_path
+    from dvrk_cmaes.io.output import LONG, output
+    from dvrk_cmaes.report.page import write_page
     from dvrk_cmaes.runs.frame import run_frame
     from dvrk_cmaes.silhouette.prepare import prepare
 
@@ -56,6 +58,10 @@ def demo(
     )
     golden = session.truth.frames
     right = answer_checks(results, golden, body.instrument, tolerance, {"out": str(out)}, json=json)
+    with output(out, "demo", wait=LONG):
+        page = write_page(out)
     if not json:
-        show([Line(f"Overlays: {out / 'overlays'}   results: {out / 'frames'}")])
+        calibrate = f"dvrk-cmaes calibrate {session.folder} --out calibrated"
+        show([Line(f"Page: {page}   overlays: {out / 'overlays'}   results: {out / 'frames'}")])
+        show([Line(f"next: {calibrate}; of your own files: dvrk-cmaes inspect FOLDER")])
     return 0 if right else FAILED

@@ -32,7 +32,8 @@ def help_topic(topic: str | None = None, /, *, search: str | None = None) -> int
     topic
         Name of the page, or of a command.
     search
-        A text, small or large: print the lines of pages that have it, after their topic; of one topic if that is given.
+        Words, small or large, in any order: print the lines of pages that have all, after their topic; of one topic
+        if that is given.
     """
     pages = topic_pages()
     if topic is None and search is None:
@@ -67,15 +68,16 @@ def _listing(pages: Mapping[str, Path]) -> Iterator[Line]:
 
 
 def _lines_with(text: str, pages: Mapping[str, Path]) -> list[Line]:
-    """Give the lines of pages that have a text, in any case, after their topic; InputError if none has."""
+    """Give the lines of pages that have all words of a text, in any case and order; InputError if none has."""
+    words = text.casefold().split()
     found = [
         Line(f"{topic}: {line.strip()}")
         for topic, path in pages.items()
         for line in _read(path).splitlines()
-        if text.casefold() in line.casefold()
+        if all(word in line.casefold() for word in words)
     ]
     if not found:
-        raise InputError(f"help: --search: expected a text of the pages, got {text[:40]!r}, which none of them has")
+        raise InputError(f"help: --search: expected words of the pages, got {text[:40]!r}, which no line of them has")
     return found
 
 

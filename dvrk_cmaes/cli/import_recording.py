@@ -17,6 +17,7 @@ from dvrk_cmaes.cli.options import (
     OUTPUT,
     Flag,
     LayoutOption,
+    ReadingOptions,
     check_range,
     joint_files,
 )
@@ -121,6 +122,9 @@ class RecordingFiles:
     joints
         File of readings with times, e.g. CSV with a column time (s). Required for a video; for other recordings it
         replaces their own.
+    columns
+        Names of the columns of --joints, in place of its header, such as
+        time,yaw,pitch,insertion,roll,wrist_pitch,wrist_yaw; - for a column that is not read.
     video_start
         Time of the first image of a video, or of stereo videos, on the clock of the readings, in seconds.
     layout
@@ -138,6 +142,7 @@ class RecordingFiles:
     episode: Annotated[int, Parameter(group=FOLDER)] = 0
     camera: Path | None = None
     joints: Path | None = None
+    columns: str | None = None
     video_start: float = 0.0
     layout: LayoutOption = None
     crop: str | None = None
@@ -264,6 +269,7 @@ def import_recording(
         arms=files.arm,
         camera=files.camera,
         joints=read_pose_table(files.joints, *posed) if posed and files.joints else next(iter(tables), None),
+        columns=ReadingOptions(columns=files.columns).read_as().columns,
         posed=None if files.joints else posed,
         start=files.video_start,
         layout=files.layout,

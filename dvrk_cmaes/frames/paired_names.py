@@ -16,7 +16,7 @@ from dvrk_cmaes.io.short_text import listed, natural
 from dvrk_cmaes.joints.rows import number_of
 
 _ADDED = re.compile(
-    rf"^(?:mask|label|seg)s?[_-]|[_-](?:mask|label|seg|gt)s?$|\.(?:png|jpe?g|bmp|tiff?)$|{ROBOFLOW.pattern}",
+    rf"^(?:mask|label|seg)s?[_-]|[_-](?:mask|label|seg|gt|segmentation(?:mask)?)s?$|\.(?:png|jpe?g|bmp|tiff?)$|{ROBOFLOW.pattern}",
     re.IGNORECASE,
 )
 

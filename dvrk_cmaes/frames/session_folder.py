@@ -373,7 +373,10 @@ def _pictures(root: Path, mask_folder: Path, views: Sequence[str], *, filmed: bo
     if not filmed and not any(files for kinds in of_views for files in kinds[:2]):
         known = mask_folder != root / "masks" or is_session_layout(root)
         if not known and (inside := sorted(path.name for path in root.iterdir())):
-            raise InputError(f"{root}: expected folders masks or images, or pictures, got {listed(inside)}")
+            raise InputError(
+                f"{root}: expected folders masks or images, or those that session.toml names, or pictures, got "
+                f"{listed(inside)}"
+            )
         raise InputError(f"{mask_folder}: expected masks (PNG or JPEG) of the frames, got {_other_files(mask_folder)}")
     return of_views
 
@@ -471,7 +474,12 @@ def _unused(root: Path, *, masks: bool, joints: bool) -> Iterator[str]:
     """Yield what a session folder has under other names than those that are read: of masks, and of readings."""
     for path in sorted(root.iterdir()) if masks or joints else ():
         pictures = path.is_dir() and any(inner.suffix.lower() in _IMAGE_SUFFIXES for inner in path.iterdir())
-        of_masks = (pictures or path.suffix == ".json") and path.name not in ("images", "ignore", "golden.json")
+        of_masks = (pictures or path.suffix == ".json") and path.name not in (
+            "images",
+            "ignore",
+            "golden.json",
+            "run.json",
+        )
         if (masks and of_masks) or (joints and path.suffix.lower() == ".csv" and path.name not in _TABLES):
             yield path.name
 

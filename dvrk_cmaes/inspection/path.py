@@ -268,6 +268,8 @@ def _inspect_joints(path: Path, options: Options) -> Finding:
 def _range_text(name: str, low: float, high: float) -> str:
     """Format the range of a joint, in mm or degrees."""
     scale, unit = unit_of(name)
+    if unit == "deg" and name != "roll" and max(-low, high) > math.pi:
+        unit += ": more than half a turn: rad is expected"
     low, high = scale * low, scale * high
     return f"{name} {low:.2f} {unit}" if low == high else f"{name} from {low:.2f} to {high:.2f} {unit}"
 

@@ -10,8 +10,8 @@ These formats are read:
   which may have ROS prefixes. Without a header, the columns are named by the user.
 - tables of other tools: `rostopic echo -p` (``%time``, ``field.name0``, ``field.position0``), PlotJuggler (``__time``,
   ``/PSM1/measured_js/yaw/position``), tables with units in the names (``yaw_deg``, ``insertion [mm]``), with two
-  columns of a time (``sec``, ``nanosec``), with each image's file in place of a frame's name, and with columns without
-  names.
+  columns of a time (``sec``, ``nanosec``), with each image's file in place of a frame's name, with columns without
+  names, and with ``q1`` to ``q6`` in the dVRK's order.
 - a table with the columns ``measured_q1`` to ``measured_q6``, without the jaw. Its columns ``measured_x, y, z`` are a
   point of the arm, not the tip, and are not used.
 """
@@ -48,6 +48,7 @@ _SECONDS: Final = re.compile(r"((?:.*\.)?)(secs?)")
 _REST: Final = ("nanosec", "nsecs", "nsec", "nanosecs")
 _FRAMES: Final = ("filename", "file_name", "file", "image", "image_name", "img", "frame_name", "frame_number")
 _PICTURE: Final = re.compile(r"(.*)\.(?:png|jpe?g|bmp|tiff?)", re.IGNORECASE | re.DOTALL)
+_NUMBERED: Final = {f"q{k}": name for k, name in enumerate(ARM_ORDER, 1)} | {"jaw_angle": "jaw"}
 _WITHOUT_NAME: Final = re.compile(r"|Unnamed: \d+")
 
 
@@ -60,6 +61,8 @@ def usual(header: Sequence[str], rows: Rows) -> tuple[list[str], Rows]:
     """
     rename = _of_rostopic if "%time" in header else _of_plotjuggler if "__time" in header else str
     names = {old: new for old in header if (new := rename(old)) is not None and not _WITHOUT_NAME.fullmatch(new)}
+    if names.keys() >= _NUMBERED.keys() - {"jaw_angle"}:
+        names = {old: _NUMBERED.get(new, new) for old, new in names.items()}
     split = _split_time(names, rows)
     frame = next((old for old, new in names.items() if new == "frame"), None)
     frame = frame or next((old for old, new in names.items() if new.lower() in _FRAMES), None)

@@ -86,7 +86,9 @@ def split_readings(
     check_readings("joints", joints, known)
     values = np.array([joints.get(name, np.nan) for name in instrument.joint_names], dtype=np.float64)
     sigma = np.deg2rad([config.readings.of(name) for name in instrument.joint_names])
-    unused = [f"reading of {n}: not given" for n, v in zip(instrument.joint_names, values, strict=True) if np.isnan(v)]
+    unused = [
+        f"reading of {n}: not given, or NaN" for n, v in zip(instrument.joint_names, values, strict=True) if np.isnan(v)
+    ]
     warnings = [
         _outside(name, value, low, high)
         for name, value, (low, high) in zip(instrument.joint_names, values, instrument.limits, strict=True)
@@ -104,7 +106,7 @@ def _outside(name: str, value: float, low: float, high: float) -> str:
     """Return the warning about a reading outside its limits, rad."""
     return (
         f"reading of {name}: {np.degrees(value):.1f} deg is outside its limits, "
-        f"{np.degrees(low):.1f} to {np.degrees(high):.1f} deg"
+        f"{np.degrees(low):.1f} to {np.degrees(high):.1f} deg{': rad is expected' if abs(value) > np.pi else ''}"
     )
 
 

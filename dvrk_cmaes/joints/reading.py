@@ -197,7 +197,9 @@ def read_frame_joints(
         found_by_label = file.labels != "message" and not only and not (image_time is not None and file.timed)
         if found_by_label and _row_of(file, name, single=False)[0] is None:
             count, near = len(file.values), listed(nearest_first(name, file.names))
-            raise InputError(f"{file.path}: frame: expected one of its {count} frames ({near}), got {shown(name)}")
+            raise InputError(
+                f"{file.path}: frame: expected one of its {count} frames ({near}), got {shown(name)} (--frame)"
+            )
     if lag is None:
         return frame_readings(files, name, time=image_time, single=True)
     series = ReadingSeries.of_files(files, {name: image_time})

@@ -127,7 +127,8 @@ def read_timed_joints(
         groups.setdefault(series.times.tobytes(), []).append(series)
     if not groups:
         raise InputError(
-            f"{file.path}: expected joint readings with times (a column time, in seconds), got {file.kind}"
+            f"{file.path}: expected joint readings with times (a column time, in seconds), got rows of "
+            f"{', '.join(file.joints)} without"
         )
     return tuple(
         TimedReadings(

@@ -34,9 +34,9 @@ READERS: Final = (
     Reader("a folder of SurgPose", is_surgpose, open_surgpose, "arms both"),
     Reader("an episode of SurgSync", is_packed, open_packed, "arms both"),
     Reader("a clip of SurgSync", is_surgsync, open_surgsync, "arms both"),
-    Reader("stereo videos", has_stereo_videos, open_stereo_videos, "both start"),
+    Reader("stereo videos", has_stereo_videos, open_stereo_videos, "both start columns"),
     Reader("a ROS recording", is_bag, open_bag, f"arms both {_TOPICS}"),
-    Reader("a video", lambda path: True, open_video, "both start layout crop"),
+    Reader("a video", lambda path: True, open_video, "both start layout crop columns"),
 )
 """The first that knows a path opens it."""
 

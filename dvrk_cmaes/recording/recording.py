@@ -17,7 +17,7 @@ from dvrk_cmaes.instrument.dvrk_description import Tool
 from dvrk_cmaes.joints.interpolation import TimedReadings
 from dvrk_cmaes.joints.names import joint_reading, joints_by_count
 from dvrk_cmaes.joints.reading import read_joint_file
-from dvrk_cmaes.joints.rows import JointFile
+from dvrk_cmaes.joints.rows import JointFile, ReadAs
 from dvrk_cmaes.recording.pose_table import PosePoint, read_timed_joints
 
 _DIGITS = 6  # number of digits of a frame's name
@@ -43,6 +43,8 @@ class Asked:
         Names of the arms whose readings are read, e.g. PSM1; none for the only one. Several of a ROS recording alone.
     camera, joints
         A camera file, and a file of readings by time, or time series that were read already.
+    columns
+        Names of the columns of a CSV of readings, in place of its header.
     start
         Time of a video's first image in that of the readings, s.
     layout, crop
@@ -67,6 +69,7 @@ class Asked:
     arms: tuple[str, ...] = ()
     camera: Path | None = None
     joints: Path | JointFile | tuple[TimedReadings, ...] | None = None
+    columns: tuple[str, ...] = ()
     start: float = 0.0
     layout: Layout | None = None
     crop: Window | None = None
@@ -92,7 +95,9 @@ class Asked:
 
     def read(self) -> Asked:
         """Return the same with the file of readings read."""
-        return replace(self, joints=read_joint_file(self.joints)) if isinstance(self.joints, Path) else self
+        if not isinstance(self.joints, Path):
+            return self
+        return replace(self, joints=read_joint_file(self.joints, read_as=ReadAs(columns=self.columns)))
 
     def row_names(self, count: int) -> tuple[str, ...]:
         """Return the names of frames that the rows of the readings have, if these were read and are ``count``."""

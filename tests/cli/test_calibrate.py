@@ -121,7 +121,7 @@ def test_refined_camera_is_written_and_stated(command: Command, bundled_body: Bo
     folders = (tmp_path / "session", "--results", tmp_path / "results", "--out", tmp_path / "out")
     ran = command("calibrate", *folders, "--refine-camera", *QUICKLY)
     assert ran.code in (0, 3)
-    assert any(line.startswith("camera, against its file: focal length ") for line in ran.out.splitlines())
+    assert any(line.startswith("camera, against the one used: focal length ") for line in ran.out.splitlines())
     found = read_calibration(tmp_path / "out" / "session.json")
     assert found.camera is not None
     assert found.camera.applied

@@ -80,9 +80,9 @@ def test_reading_just_below_full_turn_is_accepted() -> None:
 @pytest.mark.parametrize(
     ("text", "frame", "expected"),
     [
-        (TABLE, None, "frame: expected one of its 2 frames (0026, 0030), got 'image'"),
-        (TABLE, "26", "frame: expected one of its 2 frames (0026, 0030), got '26'"),
-        (TABLE, "0031", "frame: expected one of its 2 frames (0030, 0026), got '0031'"),
+        (TABLE, None, "frame: expected one of its 2 frames (0026, 0030), got 'image' (--frame)"),
+        (TABLE, "26", "frame: expected one of its 2 frames (0026, 0030), got '26' (--frame)"),
+        (TABLE, "0031", "frame: expected one of its 2 frames (0030, 0026), got '0031' (--frame)"),
         (TABLE + "0026,,,,,,,\n", "0026", "line 4: frame: expected each frame once, got '0026' again"),
         (TABLE + ",1,,,,,,\n", "0026", "line 4: frame: expected a name, got a blank cell"),
         (TABLE + "0050,0.1\n", "0026", "line 4: expected 8 cells as in the header, got 2"),

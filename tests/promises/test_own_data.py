@@ -71,6 +71,20 @@ def test_masks_are_imported_with_a_video_whose_frames_keep_the_names_of_the_rows
     assert frames["0002"].readings["jaw"] == pytest.approx(0.1)
 
 
+@pytest.mark.parametrize(
+    ("header", "options"),
+    [("timestamp,q1,q2,q3,q4,q5,q6,jaw_angle\n", ()), ("", ("--columns", "time,yaw,-,-,-,-,-,jaw"))],
+)
+def test_readings_of_other_columns_are_imported_with_a_video(
+    video: list[object], tmp_path: Path, header: str, options: tuple[str, ...]
+) -> None:
+    rows = "".join(f"{0.04 * k},0.2,0.1,0.1,0.3,0,0,0.5\n" for k in range(FRAMES))
+    (tmp_path / "joints.csv").write_text(header + rows)
+    assert run(*video, *options).code == 0
+    read = read_session(tmp_path / "out").frames[1].readings
+    assert (read["yaw"], read["jaw"]) == pytest.approx((0.2, 0.5))
+
+
 def test_masks_of_no_image_are_refused(video: list[object], tmp_path: Path) -> None:
     (tmp_path / "m").mkdir()
     cv2.imwrite(str(tmp_path / "m" / "other.png"), mask(0))
@@ -140,6 +154,7 @@ def demo_as(folder: Path, mask: str, image: str = "{:04d}.jpg", row: str = "{:04
     [
         ("{:04d}.jpg.png", "{:04d}.jpg", "{:04d}"),
         ("{:04d}_jpg.rf.ab12cd34_mask.png", "{:04d}_jpg.rf.ab12cd34.jpg", "{:04d}"),
+        ("{:04d}_SegmentationMask.png", "{:04d}.jpg", "{:04d}"),
         ("2024-05-01_{:05d}_seg.png", "{:04d}.jpg", "frame_{:06d}"),
         ("001/{:05d}.png", "{:04d}.jpg", "{}"),
         ("SegmentationClass/frame_{:06d}.PNG", "frame{}.JPG", "{:04d}"),
@@ -277,7 +292,7 @@ def test_column_of_another_name_is_refused_with_the_option_that_names_columns(tm
 def test_folder_of_no_known_kind_is_refused_by_what_is_in_it(tmp_path: Path) -> None:
     (tmp_path / "regular").mkdir()
     shutil.copy(DEMO / "joints.csv", tmp_path / "kinematics.csv")
-    expected = "expected folders masks or images, or pictures, got kinematics.csv, regular"
+    expected = "masks or images, or those that session.toml names, or pictures, got kinematics.csv, regular"
     for words in (("inspect",), ("batch", "--camera", DEMO / "camera.yaml")):
         assert expected in run(*words, tmp_path).refusal
     refusal = run("import", tmp_path, "--out", tmp_path / "out").refusal

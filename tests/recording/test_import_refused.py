@@ -252,7 +252,7 @@ def test_other_files_are_refused(refused: Refused, tmp_path: Path) -> None:
     ("table", "expected"),
     [
         ("", "expected joint readings (joints.csv, or name=value,name=value), got an empty file"),
-        ("frame,jaw\n0,1\n", "expected joint readings with times (a column time, in seconds), got joints.csv"),
+        ("frame,jaw\n0,1\n", "expected joint readings with times (a column time, in seconds), got rows of jaw without"),
         ("time,jav\n0,1\n", "header: unknown joint 'jav'; expected one of jaw, yaw"),
         ("time,jaw\nnoon,1\n", "line 2: time: expected a finite number of seconds, got 'noon'"),
         ("time,jaw\n0,inf\n", "line 2: jaw: expected a finite number in rad, got 'inf'"),
