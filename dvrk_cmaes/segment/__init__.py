@@ -7,7 +7,7 @@ colours and edges; ``sam2`` runs an exported checkpoint of Segment Anything 2.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.geometry import Float32
 from dvrk_cmaes.segment.segmentation import (
     GUESS,
     MODELS,
@@ -27,6 +28,7 @@ from dvrk_cmaes.segment.segmentation import (
     Segmentation,
     check_background,
     check_prompts,
+    nothing_found,
 )
 
 if TYPE_CHECKING:
@@ -144,42 +146,35 @@ def with_classic(
         return rough_mask(image, hints)
 
     @cache
-    def before_smooth() -> Segmentation | None:
+    def before_smooth() -> Segmentation:
         behind = smooth_background(image)
         if behind is None:
-            return None
+            return nothing_found(image.shape)
         return replace(segment_before(image, foreground_log_odds(image, behind), prompts), before="smooth background")
 
-    def without_shape() -> Segmentation:
-        found = segment_classic(image, prompts, rough())
-        if found.confidence >= GUESS:
-            return found
-        return max([found, *filter(None, (before_smooth(),))], key=lambda each: each.confidence)
-
     def roughly() -> Segmentation:
-        return rough() if rough().confidence >= GUESS else before_smooth() or rough()
+        return rough() if rough().confidence >= GUESS or not before_smooth().mask.any() else before_smooth()
 
-    def without_background() -> Segmentation:
+    def by_colours() -> Segmentation:
+        found = segment_classic(image, prompts, rough())
+        return found if found.confidence >= GUESS else max(found, before_smooth(), key=lambda each: each.confidence)
+
+    def found_by(
+        roughly: Callable[[], Segmentation], otherwise: Callable[[], Segmentation], odds: Float32 | None = None
+    ) -> Segmentation:
         if body is None:
-            return without_shape()
-        return segment_by_model(image, body, camera, joints, prompts, roughly, without_shape)
+            return otherwise()
+        return segment_by_model(image, body, camera, joints, prompts, roughly, otherwise, odds)
 
     if background is None:
-        return without_background()
+        return found_by(roughly, by_colours)
     odds = foreground_log_odds(image, background)
-
-    def before() -> Segmentation:
-        return segment_before(image, odds, prompts)
-
-    if body is None:
-        found = before()
-    else:
-        region = Segmentation(differing_region(odds))
-        found = segment_by_model(image, body, camera, joints, prompts, lambda: region, before, odds)
+    region = Segmentation(differing_region(odds))
+    found = found_by(lambda: region, lambda: segment_before(image, odds, prompts), odds)
     found = replace(found, before="learned background", odds=odds)
     if found.confidence >= GUESS:
         return found
-    other = without_background()
+    other = found_by(roughly, by_colours)
     if differing_share(other.mask, odds) < _DIFFERS:
         notes = (*other.notes, "it looks like the background that the other images show")
         other = replace(other, confidence=min(other.confidence, _SAME), notes=notes)

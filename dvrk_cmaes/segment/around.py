@@ -22,7 +22,7 @@ from dvrk_cmaes.geometry import Bool, Float32, Image
 from dvrk_cmaes.segment.colours import Colours, ColourTable, brightest, local_colour_log_odds, measure_colours
 from dvrk_cmaes.segment.confidence import assess_mask
 from dvrk_cmaes.segment.graph_cut import cut, levels
-from dvrk_cmaes.segment.prompts import Prompts, no_prompts
+from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.regions import FINEST, fill_holes, resized, shrunk, size_within
 from dvrk_cmaes.segment.segmentation import Segmentation, nothing_found
 
@@ -86,7 +86,7 @@ def mask_around(
     local: bool = True,
     edges: bool = True,
     straight: bool = False,
-    prompts: Prompts | None = None,
+    prompts: Prompts,
     passes: int = _PASSES,
 ) -> Around | None:
     """Find the mask of the instrument in an image around a silhouette.
@@ -131,8 +131,7 @@ def mask_around(
     band, far = (np.broadcast_to(np.float32(each), silhouette.shape)[window] for each in (free, reach))
     distance = signed_distance(expected)
     prior = log_odds_beyond(distance, band, steepness)
-    fixed = no_prompts(silhouette.shape) if prompts is None else prompts
-    background, tool = fixed.background[window], fixed.tool[window]
+    background, tool = prompts.background[window], prompts.tool[window]
     never = background | (distance > band + far)
     measured = measure_colours(part) if local else None
     table = None if measured is None else ColourTable(measured)

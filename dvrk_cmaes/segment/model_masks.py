@@ -210,8 +210,9 @@ def mask_of_candidate(
 
 def _fits(found: Candidate, prompts: Prompts, image: Image) -> bool:
     """Whether a candidate is where the prompts say: its silhouette has the points, and is in the box."""
-    height, width = image.shape[:2]
-    silhouette = resized(found.silhouette, (width, height))
+    if not prompts.given:
+        return True
+    silhouette = resized(found.silhouette, image.shape[1::-1])
     near = cv2.dilate(silhouette.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
     if not all(near[round(v), round(u)] for u, v in prompts.points):
         return False

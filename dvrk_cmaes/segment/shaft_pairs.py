@@ -96,24 +96,18 @@ def pair_of_mask(mask: Bool, camera: Camera, radius: float) -> Pair | None:
 def prompts_in(other: View, first: SeenView, prompts: Hints, body: Body, *, several: bool = False) -> Hints:
     """Return the prompts of a further view, given those of the first one, which are pixels of that.
 
-    They are where the instrument is that the prompts choose in the first view, or that is taken there of ``several``.
+    A point on the instrument that the prompts choose in the first view, or that is taken there of ``several``. Its
+    distance follows from the width between the shaft's edges; there is none where the first view does not show these.
     """
-    return prompt_in(other, first.mask, first, body) if several or prompts != Hints() else Hints()
-
-
-def prompt_in(other: View, mask: Bool, view: View, body: Body) -> Hints:
-    """Return a point on the instrument in another view, given its mask (H, W) in a view that shows the shaft's edges.
-
-    The distance of the point on the shaft's axis follows from the width between the edges.
-    """
-    shaft = body.instrument.shaft
-    shown = shaft is not None and mask.any() and not mask.all()
-    pair = pair_of_mask(mask, view.camera, shaft.radius) if shaft is not None and shown else None
+    shaft, mask = body.instrument.shaft, first.mask
+    if shaft is None or not (several or prompts != Hints()) or not mask.any() or mask.all():
+        return Hints()
+    pair = pair_of_mask(mask, first.camera, shaft.radius)
     if pair is None:
         return Hints()
     axis = pair.point + np.linspace(pair.begin, pair.end, _TRIED)[:, None] * pair.direction
-    u, v = np.clip(np.rint(view.camera.project(axis)).astype(int), 0, np.array(mask.shape[::-1]) - 1).T
-    seen = apply(other.view_from_camera @ inverse(view.view_from_camera), axis)
+    u, v = np.clip(np.rint(first.camera.project(axis)).astype(int), 0, np.array(mask.shape[::-1]) - 1).T
+    seen = apply(other.view_from_camera @ inverse(first.view_from_camera), axis)
     pixels = other.camera.project(seen)
     within = (seen[:, 2] > 0) & ((pixels >= 0) & (pixels < (other.camera.width, other.camera.height))).all(axis=1)
     depths = np.where(within, distance_to(~mask)[v, u], 0)
