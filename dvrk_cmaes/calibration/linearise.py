@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -74,13 +74,18 @@ def _as_large(at: Posed, by: ViewAsSeen) -> Posed:
 
 
 @dataclass(frozen=True, eq=False)
-class SessionOutlines:
-    """The outlines of N frames in one view of each, as functions of poses, joints and blocks.
+class ArmOutlines:
+    """The outlines of an arm's N frames in one view of each, as functions of poses, joints and blocks.
 
-    ``stored`` are the frames, ``views`` (N,) the numbers of these views; a frame without one does not
+    They are linearised about the poses ``at`` and the values of the ``calibration``. ``stored`` are the frames,
+    ``model`` is that of their readings, ``views`` (N,) are the numbers of the views; a frame without one does not
     influence the estimate. ``run`` applies a function to many tasks. ``common`` are the errors that the frames share.
+    Of the ``blocks``, those that the calibration lacks start as `SeenBlock.start` says.
     """
 
+    model: SessionModel
+    calibration: Calibration
+    at: Posed
     stored: Sequence[StoredFrame]
     views: Sequence[int | None]
     run: Run[Any, Any]
@@ -92,24 +97,30 @@ class SessionOutlines:
         """The camera of the first frame in its view, as its file has it."""
         return self.stored[0].views[self.views[0] or 0].evidence.camera
 
-    def near(self, at: Posed, values: Mapping[str, Float64]) -> FrameFits:
-        """Linearise the outlines at N poses and values of the blocks by name, in both.
+    def with_new_blocks(self) -> ArmOutlines:
+        """Return the same with a calibration that also has the blocks, new ones at their start."""
+        new = [one for one in self.blocks if one.name not in self.calibration.values]
+        return replace(self, calibration=self.calibration.with_blocks(*new))
+
+    def linearised(self) -> FrameFits:
+        """Linearise the outlines in poses, joints and blocks.
 
         Raises
         ------
         InputError
             With a changed focal length, the lens distortion is not one-to-one over the image.
         """
-        values = {one.name: np.where(one.is_linear, one.start, values[one.name]) for one in self.blocks}
+        known = self.calibration.values
+        values = {one.name: np.where(one.is_linear, one.start, known[one.name]) for one in self.blocks}
         tasks = [
-            (stored, view, self._seen(stored, view, values), at[k], self.blocks)
+            (stored, view, self._seen(stored, view, values), self.at[k], self.blocks)
             for k, (stored, view) in enumerate(zip(self.stored, self.views, strict=True))
             if view is not None
         ]
         found = iter(self.run(outline_task, tasks))
-        size = 6 + at.joints.shape[1] + sum(len(block) for block in values.values())
+        size = 6 + self.at.joints.shape[1] + sum(len(block) for block in values.values())
         terms = [Quadratic.zero(1, size) if view is None else next(found) for view in self.views]
-        return FrameFits.sharing(at, Quadratic.joined(terms), self.common, values)
+        return FrameFits.sharing(self.at, Quadratic.joined(terms), self.common, values)
 
     def _seen(self, stored: StoredFrame, number: int, values: Mapping[str, Float64]) -> ViewAsSeen:
         """Return how a view of a frame sees with some values of the blocks."""
@@ -190,29 +201,6 @@ class Linearised:
         return values - inverse @ (more * values), covariance
 
 
-class ArmOutlines(NamedTuple):
-    """An arm's N frames about whose poses ``at`` their ``outlines`` are linearised, with its model and calibration.
-
-    Blocks that the calibration lacks start as `SeenBlock.start` says.
-    """
-
-    model: SessionModel
-    calibration: Calibration
-    at: Posed
-    outlines: SessionOutlines
-
-
-def with_new_blocks(arms: Sequence[ArmOutlines]) -> list[ArmOutlines]:
-    """Return arms whose calibrations also have the blocks of their outlines, new ones at their start."""
-    news = [[one for one in arm.outlines.blocks if one.name not in arm.calibration.values] for arm in arms]
-    return [arm._replace(calibration=arm.calibration.with_blocks(*new)) for arm, new in zip(arms, news, strict=True)]
-
-
-def linearised_at(arms: Sequence[ArmOutlines]) -> list[FrameFits]:
-    """Linearise the outlines of arms at their poses and the values of their calibrations, errors as `linearise`."""
-    return [arm.outlines.near(arm.at, arm.calibration.values) for arm in arms]
-
-
 def linearise(
     arms: Sequence[ArmOutlines],
     solver: Solver,
@@ -234,23 +222,23 @@ def linearise(
     passes
         Largest number of linearisations.
     first
-        The first linearisation of each arm, where several estimates begin with the same (`linearised_at`).
+        The first linearisation of each arm, where several estimates begin with the same (`ArmOutlines.linearised`).
 
     Raises
     ------
     InputError
-        As `SessionOutlines.near`.
+        As `ArmOutlines.linearised`.
     """
-    arms, fits = with_new_blocks(arms), first
+    arms, fits = [arm.with_new_blocks() for arm in arms], first
+    asked = [tuple(one for one in arm.blocks if one.name in names) for arm in arms]
     for _ in range(passes):
-        fits = linearised_at(arms) if fits is None else fits
+        fits = [arm.linearised() for arm in arms] if fits is None else fits
         models, solutions = solver([ArmFrames(a.model, f, a.calibration) for a, f in zip(arms, fits, strict=True)])
-        asked = [tuple(one for one in arm.outlines.blocks if one.name in names) for arm in arms]
         last = list(map(Linearised, models, solutions, fits, asked))
         if all(one.settled for one in last) or not all(one.plausible for one in last):
             break
         arms = [
-            ArmOutlines(one.model, one.solution.calibration, one.at, arm.outlines)
+            replace(arm, model=one.model, calibration=one.solution.calibration, at=one.at)
             for one, arm in zip(last, arms, strict=True)
         ]
         fits = None

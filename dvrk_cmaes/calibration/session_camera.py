@@ -21,10 +21,7 @@ from dvrk_cmaes.calibration.linearise import (
     NAMED,
     ArmOutlines,
     Linearised,
-    SessionOutlines,
     linearise,
-    linearised_at,
-    with_new_blocks,
 )
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.session_masks import MarginEffect
@@ -360,27 +357,26 @@ def check_camera(
         reason = _NOT_ASKED
     passes = _PASSES if reason is None and applied is None else 1
     try:
-        begun = linearised_at(with_new_blocks(arms))
+        begun = [arm.with_new_blocks().linearised() for arm in arms]
         found = estimate_camera(arms, config, passes=passes, first=begun)
         if far := passes > 1 and not all(one.plausible for one in found):
             found = estimate_camera(arms, config, passes=1, first=begun)
         first = found
         if reason != _NOT_ASKED and applied is None:
-            file = CameraChange(file_deviations(arms[0].outlines.camera, config.camera))
-            blocks = [tuple(file if one.name == CAMERA else one for one in arm.outlines.blocks) for arm in arms]
-            pairs = zip(arms, blocks, strict=True)
-            by_file = [arm._replace(outlines=replace(arm.outlines, blocks=own)) for arm, own in pairs]
+            file = CameraChange(file_deviations(arms[0].camera, config.camera))
+            blocks = [tuple(file if one.name == CAMERA else one for one in arm.blocks) for arm in arms]
+            by_file = [replace(arm, blocks=own) for arm, own in zip(arms, blocks, strict=True)]
             first = estimate_camera(by_file, config, passes=_FILE_PASSES, names=(SIZES,), first=begun)
     except InputError as error:
         return [CameraCheck(None, f"camera: {error}", np.zeros((arm.calibration.alone().own,) * 2)) for arm in arms]
     each = zip(found, first, arms, strict=True)
-    return [_checked(last, near, arm.outlines, config, reason, applied, far=far) for last, near, arm in each]
+    return [_checked(last, near, arm, config, reason, applied, far=far) for last, near, arm in each]
 
 
 def _checked(
     there: Linearised,
     first: Linearised,
-    outlines: SessionOutlines,
+    outlines: ArmOutlines,
     config: EstimateConfig,
     reason: str | None,
     applied: Float64 | None,

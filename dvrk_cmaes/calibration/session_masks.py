@@ -148,12 +148,12 @@ def estimate_margin(arms: Sequence[ArmOutlines]) -> tuple[SessionMasks, list[tup
     change of the camera that is estimated beside the margin is not used.
     """
     there, moved = linearise(arms, solve_unchanged, [MARGIN], passes=_PASSES), []
-    place, camera = there[0].solution.calibration.place(MARGIN), arms[0].outlines.camera
+    place, camera = there[0].solution.calibration.place(MARGIN), arms[0].camera
     shown, spread = there[0].with_std({MARGIN: _FREE})
     alone, square = shown[place].item(), spread[place, place].item() + _LEAST_STD**2
     px, std = _posterior(alone, square, _USUAL_STD * camera.pixel_scale)
     for one, arm in zip(there, arms, strict=True):
-        held = {block.name: _HELD * block.std for block in arm.outlines.blocks if block.name != MARGIN}
+        held = {block.name: _HELD * block.std for block in arm.blocks if block.name != MARGIN}
         at_file = one.solution.calibration
         at_file = at_file.changed(one.with_std(held)[0] - np.append(np.zeros(at_file.own), at_file.further))
         poses = marginalise(one.model, one.fits, at_file).own

@@ -28,7 +28,7 @@ from dvrk_cmaes.calibration.endoscope_search import describe_pieces, find_pieces
 from dvrk_cmaes.calibration.frame_fit import FrameFit, first_starts, next_starts
 from dvrk_cmaes.calibration.frame_task import Run, SessionFrame, fit_task, gather_task
 from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, SessionLag
-from dvrk_cmaes.calibration.linearise import ArmOutlines, SessionOutlines
+from dvrk_cmaes.calibration.linearise import ArmOutlines
 from dvrk_cmaes.calibration.model import Deviations, SessionModel
 from dvrk_cmaes.calibration.session_camera import (
     CAMERA,
@@ -222,8 +222,8 @@ class ArmSession:
         numbers = [stored.number_of(name) if fit.explains_mask else None for fit, stored in pairs]
         file = file_deviations(self.stored[0].camera, self.setup.config.camera) if file_is_prior else None
         blocks = CameraChange(file, self.change), MaskMargin(self.taken_off), *tested
-        outlines = SessionOutlines(self.stored, numbers, self.setup.run, self.common, blocks)
-        return ArmOutlines(self.model, self.solution.calibration, Posed.stacked(one.at for one in self.fits), outlines)
+        at, shared = Posed.stacked(one.at for one in self.fits), (self.setup.run, self.common)
+        return ArmOutlines(self.model, self.solution.calibration, at, self.stored, numbers, *shared, blocks)
 
     @property
     def disagreements(self) -> list[str]:
@@ -478,7 +478,7 @@ def checked(arms: Arms) -> Arms:
         seen = []
         for arm in (arms[k] for k in group):
             arm.setup.progress("checking the camera", len(arm.frames))
-            camera, config = arm.outlined().outlines.camera, arm.setup.config
+            camera, config = arm.outlined().camera, arm.setup.config
             tested = InstrumentSizes(arm.setup.instrument), *(make(config, camera) for make in TESTED)
             seen.append(arm.outlined(*tested))
         checks = check_camera(seen, arms[group[0]].setup.config, applied=arms[group[0]].change)
