@@ -74,10 +74,10 @@ def _of(commands: Sequence[str], options: Sequence[str], instead: str) -> dict[s
 
 _REMOVED: Final[dict[str, str]] = {
     "--follow-links": "copies of the files in the folder",
-    "--refine": "--preset card, or NLopt's bobyqa and sbplx by --search",
+    "--refine": f"refine.derivatives {_IN_FILE}, or NLopt's bobyqa and sbplx by search.method there",
     "--shaft-radius": "the radius of the URDF's mesh",
-    **_of(_RUNS, ("--preset",), f"refine.derivatives {_IN_FILE}"),
-    **_of(_RUNS, ("--search",), f"search.method {_IN_FILE}"),
+    "--preset": f"refine.derivatives {_IN_FILE}",
+    **_of((*_RUNS, "estimate", "demo"), ("--search",), f"search.method {_IN_FILE}"),
     **_of(_RUNS, ("--seed",), f"seed {_IN_FILE}"),
     **_of(_RUNS, ("--threads",), f"threads {_IN_FILE}"),
     **_of(_SESSIONS, ("--package-path", "--root-link", "--tool"), _TOOL),

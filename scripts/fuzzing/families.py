@@ -161,7 +161,7 @@ FAMILIES: tuple[Family, ...] = (
     Family("options", "options", "", (_ESTIMATE, [*_BATCH, "new"], _TRACK, *_EXPORTS)),
 )
 OPTIONS = (
-    *("--seed", "--threads", "--frame", "--label", "--pick", "--search", "--side", "--arm", "--keypoints"),
+    *("--seed", "--threads", "--frame", "--label", "--pick", "--side", "--arm", "--keypoints"),
     *("--time-limit", "--workers", "--frames", "--scheduler", "--lag", "--every", "--session"),
     *("--instrument", "--tool", "--package-path", "--root-link", "--config", "--camera", "--out"),
 )
