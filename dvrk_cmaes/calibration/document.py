@@ -48,7 +48,7 @@ from dvrk_cmaes.io.typed_document import (
     refused,
 )
 from dvrk_cmaes.joints.lag import Lag
-from dvrk_cmaes.pose.camera_errors import file_covariance
+from dvrk_cmaes.pose.expected_error import file_covariance
 
 SCHEMA = 3
 CALIBRATION_EXPECTED = "a SessionCalibration (dvrk_cmaes.read_calibration reads one)"

@@ -17,13 +17,17 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import Float64, Posed, change_between
 from dvrk_cmaes.joints.prior import Readings, reading_distance, split_readings
-from dvrk_cmaes.pose.camera_errors import covariance_by_camera
-from dvrk_cmaes.pose.expected_error import expected_error, locate_tips, rough_covariance, tip_probability
+from dvrk_cmaes.pose.expected_error import (
+    covariance_by_camera,
+    expected_error,
+    locate_tips,
+    rough_covariance,
+    tip_probability,
+)
 from dvrk_cmaes.pose.judge import doubts_in_views, jaw_end_missing
-from dvrk_cmaes.pose.quality import measure_overlap, measure_views, pooled_quality
 from dvrk_cmaes.pose.search.starts import are_distinct
 from dvrk_cmaes.pose.terms.tips_term import Expected
-from dvrk_cmaes.pose.views import FrameView
+from dvrk_cmaes.pose.views import FrameView, measure_overlap, measure_views, pooled_quality
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Alternative, Quality, Result
 from dvrk_cmaes.silhouette import Body

@@ -19,14 +19,12 @@ from dvrk_cmaes.geometry import Bool, Float64, Posed, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.interpolation import LEAST_ERROR
 from dvrk_cmaes.joints.prior import Readings
-from dvrk_cmaes.pose.camera_errors import covariance_by_camera
-from dvrk_cmaes.pose.expected_error import expected_error, tip_probability
+from dvrk_cmaes.pose.expected_error import covariance_by_camera, expected_error, tip_probability
 from dvrk_cmaes.pose.find_pose import FoundPose
 from dvrk_cmaes.pose.judge import doubts_in_views, doubts_of_agreement
-from dvrk_cmaes.pose.quality import measure_views, pooled_quality
 from dvrk_cmaes.pose.refine.information import times
 from dvrk_cmaes.pose.terms.tips_term import Expected
-from dvrk_cmaes.pose.views import FrameView
+from dvrk_cmaes.pose.views import FrameView, measure_views, pooled_quality
 
 ROLL: Final = 5
 """Index, among the changes of pose and joints, of the first that is an error of the wrist: roll."""

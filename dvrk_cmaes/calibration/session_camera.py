@@ -36,7 +36,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Count, Number
-from dvrk_cmaes.pose.camera_errors import PARAMETERS, displacements, file_covariance
+from dvrk_cmaes.pose.expected_error import PARAMETERS, displacements, file_covariance
 from dvrk_cmaes.pose.terms.coverage import of_camera
 
 CAMERA, LENS = "camera", "lens"

@@ -22,7 +22,7 @@ from dvrk_cmaes.draw.panels import FOUND, MASK, PROJECTED, SILHOUETTE, SKELETON,
 from dvrk_cmaes.draw.track_overlay import found_edges, projected_axes, projected_edges, skeleton_lines
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
 from dvrk_cmaes.evidence.outline_noise import distances_to
-from dvrk_cmaes.evidence.steady_errors import steady_stretches
+from dvrk_cmaes.evidence.quantiles import steady_stretches
 from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.results.result import Result

@@ -11,16 +11,19 @@ from dvrk_cmaes.config import EstimateConfig, TrustConfig
 from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings, reading_distance
-from dvrk_cmaes.pose.camera_errors import covariance_by_camera, file_covariance
-from dvrk_cmaes.pose.expected_error import expected_error, mode_probability, pose_covariance
+from dvrk_cmaes.pose.expected_error import (
+    covariance_by_camera,
+    expected_error,
+    file_covariance,
+    mode_probability,
+    pose_covariance,
+)
 from dvrk_cmaes.pose.judge import judge
-from dvrk_cmaes.pose.quality import measure_views, pooled_quality
 from dvrk_cmaes.pose.refine.coarse_to_fine import LocalSearch
 from dvrk_cmaes.pose.refine.gauss_newton import Fit
-from dvrk_cmaes.pose.search.global_search import find_candidates
-from dvrk_cmaes.pose.search.methods import SEEDS
+from dvrk_cmaes.pose.search.global_search import SEEDS, find_candidates
 from dvrk_cmaes.pose.search.starts import PoseCandidate, is_twin
-from dvrk_cmaes.pose.views import FrameView, clearest_view
+from dvrk_cmaes.pose.views import FrameView, clearest_view, measure_views, pooled_quality
 from dvrk_cmaes.results.result import Alternative, ExpectedError, Quality, ViewCheck
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import body_by

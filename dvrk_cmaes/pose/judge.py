@@ -11,7 +11,7 @@ import numpy as np
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.rig import mirrored_place
 from dvrk_cmaes.config import SessionConfig, TrustConfig
-from dvrk_cmaes.evidence.straight_cut import shaft_width
+from dvrk_cmaes.evidence.jaw_tips import shaft_width
 from dvrk_cmaes.geometry import Bool, Float64, Posed, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings

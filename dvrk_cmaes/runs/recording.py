@@ -28,7 +28,7 @@ from dvrk_cmaes.pose.terms.tips_term import Expected
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.track.frame_fits import FittedFrame, PredictedFrame, fit_block
 from dvrk_cmaes.track.image_masks import ColourModel
-from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES, MaskShape, choose_keyframes, has_outer_joints, well_in_view
+from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES, MaskShape, choose_keyframes, well_in_view
 from dvrk_cmaes.track.reading_buffer import frozen_frames, frozen_since
 from dvrk_cmaes.track.window import Judged, Window, WindowImage, judge_frame
 
@@ -78,14 +78,18 @@ class RecordedFrames:
             if data is not None and data.mask.any():
                 shapes[i], (rows, columns) = MaskShape.of(data.mask), np.nonzero(data.mask)
                 centres[i] = columns.mean(), rows.mean()
-        outer = outer_readings([own.readings for own in self.files])
-        frozen = frozen_frames(outer, centres, self.rig.views[0].camera.width)
+        frozen = frozen_frames(self.outer, centres, self.rig.views[0].camera.width)
         return replace(self, shapes=shapes, frozen=frozen, centres=centres)
+
+    @property
+    def outer(self) -> Float64:
+        """The readings (N, 4) of the outer joints, rad and m; NaN without one."""
+        return outer_readings([own.readings for own in self.files])
 
     @property
     def trusted(self) -> Bool:
         """Which frames (N,) have readings of all outer joints that are not frozen."""
-        return has_outer_joints(self.names, self.readings) & ~self.frozen
+        return np.asarray(~np.isnan(self.outer).any(axis=1) & ~self.frozen)
 
     def keyframes(self, most: int = MOST_KEYFRAMES) -> list[int]:
         """Choose at most some keyframes: well in view, with readings that are not frozen, far from each other."""

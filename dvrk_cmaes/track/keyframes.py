@@ -123,14 +123,6 @@ def distance_units(joint_names: tuple[str, ...]) -> Float64:
     return np.array([_UNITS.get(name, _JOINT_UNIT) for name in joint_names])
 
 
-def has_outer_joints(joint_names: tuple[str, ...], readings: Float64) -> Bool:
-    """Return which of N frames (N,) have readings (N, K) of all outer joints."""
-    if not set(OUTER_JOINTS) <= set(joint_names):
-        return np.zeros(len(readings), np.bool_)
-    index = [joint_names.index(name) for name in OUTER_JOINTS]
-    return np.asarray(~np.isnan(readings[:, index]).any(axis=1))
-
-
 SOLVED_AT: Final = (4, 8, 12, 16, 20, 24, 36, 48, MOST_KEYFRAMES)
 """Numbers of keyframes at which they are solved together."""
 
@@ -163,7 +155,6 @@ class Keyframes:
         self._taken, self._solved_of = 0, 0  # images that were kept so far, and when some were last given to be solved
         self._asked: frozenset[str] = frozenset()  # names of these
         self._shapes: list[MaskShape] = []
-        self._measured: tuple[Bool, MaskShape] | None = None  # the last mask
         self._last: float | None = None
         self._interval: list[float] = []
 
@@ -187,13 +178,7 @@ class Keyframes:
     def shows_well(self, masks: Mapping[str, Bool]) -> bool:
         """Return whether an image's masks, by view, show enough of the instrument, by those that were offered."""
         mask = self._first_of(masks)
-        return mask is not None and bool(well_in_view([*self._shapes, self._shape_of(mask)])[-1])
-
-    def _shape_of(self, mask: Bool) -> MaskShape:
-        """Measure a mask, which may be the last one once more."""
-        if self._measured is None or self._measured[0] is not mask:
-            self._measured = mask, MaskShape.of(mask)
-        return self._measured[1]
+        return mask is not None and bool(well_in_view([*self._shapes, MaskShape.of(mask)])[-1])
 
     def _first_of(self, masks: Mapping[str, Bool]) -> Bool | None:
         """Return the mask (H, W) of the first view that has one."""
@@ -219,7 +204,7 @@ class Keyframes:
         mask = self._first_of(masks)
         if mask is None:
             return
-        self._shapes = [*self._shapes[-_SHAPES:], self._shape_of(mask)]
+        self._shapes = [*self._shapes[-_SHAPES:], MaskShape.of(mask)]
         readings = reading.by_name(self._given.instrument.joint_names)
         if not well_in_view(self._shapes)[-1] or not reading.has_outer:
             return

@@ -30,12 +30,10 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN
 from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.pose.camera_errors import covariance_by_camera
 from dvrk_cmaes.pose.doubts import FOLLOWED, pose_lost, reasons
-from dvrk_cmaes.pose.expected_error import expected_error, locate_tips, tip_probability
+from dvrk_cmaes.pose.expected_error import covariance_by_camera, expected_error, locate_tips, tip_probability
 from dvrk_cmaes.pose.judge import doubts_in_views, doubts_of_agreement
-from dvrk_cmaes.pose.quality import measure_overlap, pooled_quality
-from dvrk_cmaes.pose.views import FrameView
+from dvrk_cmaes.pose.views import FrameView, measure_overlap, pooled_quality
 from dvrk_cmaes.results.result import ExpectedError
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.silhouette import Body

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 
 from dvrk_cmaes.evidence.outline_noise import CLIP, OutlineNoise, distances_to, sampled
 from dvrk_cmaes.geometry import Float64, Posed
-from dvrk_cmaes.pose.terms.contour import is_rough
+from dvrk_cmaes.pose.terms.coverage import is_rough
 from dvrk_cmaes.pose.terms.shared_errors import shared_errors, without_last
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_locals

@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from dvrk_cmaes.pose.search.methods import METHODS, minimise_each
+from dvrk_cmaes.pose.search.global_search import METHODS, minimise_each
 
 __all__ = ["METHODS", "minimise_each"]
