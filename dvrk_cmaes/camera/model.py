@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from dvrk_cmaes.camera.lens import COEFFICIENT_COUNTS, Lens
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.io.short_text import checked_array, checked_number
+from dvrk_cmaes.io.arguments import checked_array, checked_number
 
 _WIDTH_OF_LIMITS = 640  # px, of the images on which limits in pixels were set
 

@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike
 from dvrk_cmaes.camera.model import Camera
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.geometry import Float64, inverse, moved, rotation_angle, transform
+from dvrk_cmaes.io.arguments import check_type
 from dvrk_cmaes.io.encode import Document
-from dvrk_cmaes.io.short_text import check_type
 from dvrk_cmaes.io.typed_document import Count, Number, PositiveNumber, Transform
 
 BASELINE = (0.0005, 0.5)

@@ -19,7 +19,7 @@ from dvrk_cmaes.frames.seen_view import SeenView, left_out_views, seen_views, sh
 from dvrk_cmaes.geometry import Bool, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm, check_arm, find_camera_from_base
-from dvrk_cmaes.io.short_text import check_type
+from dvrk_cmaes.io.arguments import check_type
 from dvrk_cmaes.joints.prior import split_readings
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.pose.expected_error import locate_tips

@@ -16,7 +16,7 @@ from dvrk_cmaes.frames.frame import with_tool
 from dvrk_cmaes.frames.seen_view import Mask, SeenView, seen_views
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
-from dvrk_cmaes.io.short_text import check_type
+from dvrk_cmaes.io.arguments import check_type
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 

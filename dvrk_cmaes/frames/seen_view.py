@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from dvrk_cmaes.camera import Camera, Rig, View
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.geometry import Bool, Float64
-from dvrk_cmaes.io.short_text import checked_array, checked_mask
+from dvrk_cmaes.io.arguments import checked_array, checked_mask
 
 
 @dataclass(frozen=True)

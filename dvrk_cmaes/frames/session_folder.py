@@ -38,8 +38,9 @@ from dvrk_cmaes.frames.published_layout import find_published_frames, is_publish
 from dvrk_cmaes.frames.session_toml import CameraEntry, ToolEntry, read_session_toml
 from dvrk_cmaes.frames.truth import SessionTruth, read_golden
 from dvrk_cmaes.frames.video_frames import Video, VideoFrame
+from dvrk_cmaes.io.arguments import PATH, check_type
 from dvrk_cmaes.io.image_header import foreign
-from dvrk_cmaes.io.short_text import PATH, check_type, escaped, listed, natural, no_folder
+from dvrk_cmaes.io.short_text import escaped, listed, natural, no_folder
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.reading import TIME_TOLERANCE, NoneNearError, frame_readings, read_joint_file

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.geometry import Float64, inverse, skew
-from dvrk_cmaes.io.short_text import described
+from dvrk_cmaes.io.arguments import described
 
 Arm = Literal["classic", "si"]
 

@@ -19,8 +19,9 @@ from dvrk_cmaes.instrument.locate import cache_file, find_mesh, read_cached, wri
 from dvrk_cmaes.instrument.model import Instrument, Link
 from dvrk_cmaes.instrument.urdf_xml import read_robot
 from dvrk_cmaes.instrument.visuals import link_triangles
+from dvrk_cmaes.io.arguments import PATH, check_type
 from dvrk_cmaes.io.files import bundled_path
-from dvrk_cmaes.io.short_text import PATH, check_type, listed
+from dvrk_cmaes.io.short_text import listed
 
 #: Default name of the link whose pose is estimated: the one at the distal end of the shaft.
 DEFAULT_ROOT = "roll_link"

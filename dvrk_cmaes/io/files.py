@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.short_text import PATH, check_type
+from dvrk_cmaes.io.arguments import PATH, check_type
 
 
 def read_bytes(path: str | Path, *, expected: str, largest: int) -> bytes:

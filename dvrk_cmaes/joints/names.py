@@ -11,7 +11,8 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 
 from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.io.short_text import check_type, checked_number, listed, shown
+from dvrk_cmaes.io.arguments import check_type, checked_number
+from dvrk_cmaes.io.short_text import listed, shown
 
 OUTER_JOINTS = ("yaw", "pitch", "insertion", "roll")
 """Joints of the arm that carries the instrument, from the base to the instrument."""

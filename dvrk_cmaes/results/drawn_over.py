@@ -9,7 +9,7 @@ import numpy as np
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Bool, Float64, Image
-from dvrk_cmaes.io.short_text import checked_array
+from dvrk_cmaes.io.arguments import checked_array
 
 _COLOURS = {"ok": (233, 180, 86), "doubtful": (60, 200, 240), "lost": (0, 94, 213)}  # BGR, of the silhouette's outline
 _TIPS = (255, 255, 255)

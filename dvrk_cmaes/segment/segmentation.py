@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.keypoints import Hints as Hints
 from dvrk_cmaes.geometry import Float32
-from dvrk_cmaes.io.short_text import described
+from dvrk_cmaes.io.arguments import described
 
 Pixel = tuple[float, float]
 Box = tuple[float, float, float, float]

@@ -8,7 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from dvrk_cmaes.instrument import Instrument, load_instrument
-from dvrk_cmaes.io.short_text import check_type
+from dvrk_cmaes.io.arguments import check_type
 from dvrk_cmaes.silhouette import Body
 
 _named: dict[str, Instrument] = {}

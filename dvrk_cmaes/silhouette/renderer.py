@@ -20,7 +20,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Bool, Float32, Float64, Posed
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.io.short_text import check_type, checked_array, described
+from dvrk_cmaes.io.arguments import check_type, checked_array, described
 from dvrk_cmaes.silhouette.outline import OutlinePoints
 from dvrk_cmaes.silhouette.scenes import NEAR, LinkScenes, decimate
 

@@ -16,7 +16,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.quantiles import median
 from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.io.short_text import check_type, checked_number
+from dvrk_cmaes.io.arguments import check_type, checked_number
 from dvrk_cmaes.joints.interpolation import Sparseness, TimedReadings, Times, known_where, weighted_mean
 from dvrk_cmaes.joints.names import ECM_JOINTS, READINGS, check_readings
 

@@ -19,7 +19,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm, check_arm
-from dvrk_cmaes.io.short_text import check_type, checked_number
+from dvrk_cmaes.io.arguments import check_type, checked_number
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.pose.doubts import (
     NO_OUTER_READINGS,

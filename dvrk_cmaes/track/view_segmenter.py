@@ -16,7 +16,7 @@ from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.frames.seen_view import SeenView, seen_by
 from dvrk_cmaes.geometry import Bool, Image, Posed
-from dvrk_cmaes.io.short_text import check_type, checked_mask
+from dvrk_cmaes.io.arguments import check_type, checked_mask
 from dvrk_cmaes.pose.doubts import image_black, image_frozen, mask_says_nothing
 from dvrk_cmaes.pose.views import silhouette_of
 from dvrk_cmaes.segment import segment
