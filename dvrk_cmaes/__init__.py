@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
     from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
-    from dvrk_cmaes.calibration.frame_task import SessionFrame
+    from dvrk_cmaes.calibration.session_frame import SessionFrame
     from dvrk_cmaes.camera import Camera, Rig
     from dvrk_cmaes.camera.files import read_camera
     from dvrk_cmaes.config import EstimateConfig, __version__
@@ -45,7 +45,7 @@ _HOMES = {
     "Rig": "camera",
     "Session": "frames.session_folder",
     "SessionCalibration": "calibration.document",
-    "SessionFrame": "calibration.frame_task",
+    "SessionFrame": "calibration.session_frame",
     "SolvedSession": "calibration.calibrate",
     "Solution": "track.keyframe_problem",
     "ToolInFrame": "estimation",

@@ -21,10 +21,9 @@ from typing import Final, Literal
 
 import numpy as np
 
-from dvrk_cmaes.calibration.autocorrelated_errors import frames_alike
 from dvrk_cmaes.calibration.blocks import Calibration
 from dvrk_cmaes.calibration.lag import SessionLag
-from dvrk_cmaes.calibration.model import Correction, Deviations, SessionModel
+from dvrk_cmaes.calibration.model import Correction, Deviations, SessionModel, frames_alike
 from dvrk_cmaes.calibration.solve import FrameFits, Solved
 from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.io.encode import Document, rounded, rounded_array

@@ -15,23 +15,23 @@ import numpy as np
 
 from dvrk_cmaes.calibration.cables import SessionCables
 from dvrk_cmaes.calibration.document import Agreement, SessionCalibration, describe_solution
-from dvrk_cmaes.calibration.frame_task import (
+from dvrk_cmaes.calibration.model import SessionModel, outer_readings
+from dvrk_cmaes.calibration.session_camera import CameraCheck, errors_of_camera
+from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual_insertion
+from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
+from dvrk_cmaes.calibration.session_frame import (
     NOT_READ,
     FrameReport,
     LeaveOneOutPrediction,
     ReportTask,
     Run,
     SessionFrame,
+    camera_remarks,
     report_task,
 )
-from dvrk_cmaes.calibration.model import SessionModel, outer_readings
-from dvrk_cmaes.calibration.session_camera import CameraCheck, errors_of_camera
-from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual_insertion
-from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
 from dvrk_cmaes.calibration.session_problem import LEAST_FRAMES, ArmSession, ArmSetup
 from dvrk_cmaes.calibration.session_rig import rotations_of_session, turns_of
 from dvrk_cmaes.calibration.solve import FrameFits, frame_covariances, leave_one_out
-from dvrk_cmaes.calibration.stored_frame import camera_remarks
 from dvrk_cmaes.calibration.together import Begun, Outcome, solved_alone
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.errors import InputError

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.blocks import ENDOSCOPE, Calibration
 from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Consensus, Mode, agreement, evenly_spaced, find_consensus
 from dvrk_cmaes.calibration.endoscope import Pieces, Steered
-from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.model import SessionModel
+from dvrk_cmaes.calibration.session_frame import SessionFrame
 from dvrk_cmaes.calibration.solve import Solved, solve_with_modes
 from dvrk_cmaes.geometry import inverse
 

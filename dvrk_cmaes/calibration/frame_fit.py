@@ -8,8 +8,6 @@ from typing import Final, Literal
 
 import numpy as np
 
-from dvrk_cmaes.calibration import autocorrelated_errors
-from dvrk_cmaes.calibration.autocorrelated_errors import without_sides
 from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Mode
 from dvrk_cmaes.config import EstimateConfig, OutlineConfig
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
@@ -19,13 +17,20 @@ from dvrk_cmaes.pose.doubts import LEAST_OVERLAP
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, refine
 from dvrk_cmaes.pose.refine.information import ALL, Selection
 from dvrk_cmaes.pose.terms.coverage import Coverage, DrawnCoverage, of_margin
-from dvrk_cmaes.pose.terms.shared_errors import SIDES
+from dvrk_cmaes.pose.terms.shared_errors import SIDES, without_last
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_costs, sum_of_locals
 from dvrk_cmaes.pose.terms.tips_term import Expected, terms_of_frame
 from dvrk_cmaes.pose.views import FrameView, overlap
 from dvrk_cmaes.silhouette import OutlinePoints
 
+SIDES_IN_SESSION: Final = 0.25
+"""Factor on the standard deviations of the errors of the shaft's sides in the fits of a session.
+
+They are nuisance parameters of each frame, which are eliminated. Their standard deviations are those of single frames;
+the fits of a session have a loss that is less robust against shadows, with 0.2 to 0.6 of these at the true poses of
+followed recordings.
+"""
 _SHARE, _GAP = 0.9, 50.0  # of fits at half the image size that continue, as `Selection`
 _KEPT = 2  # fits at half the image size that are continued at the whole size
 _LARGEST_STEP = 3e-3  # m, by which a fit moves where the errors that masks share are eliminated
@@ -138,7 +143,7 @@ class FitPreset:
     lines_per_pixel: int | None = None
     stride: int = 1
     as_seen: bool | None = None
-    sides: float = autocorrelated_errors.IN_SESSION
+    sides: float = SIDES_IN_SESSION
 
 
 LINES_PER_PIXEL: Final = 1
@@ -150,9 +155,7 @@ IN_SESSION: Final = FitPreset()
 OF_NEW_FRAME: Final = FitPreset(confirmed=True)
 """Fit of a single frame of a calibrated session."""
 
-FOLLOWED: Final = FitPreset(
-    Steps(12, 3, 0.0, "none", 4.0), of_one=True, noise="weighed", sides=autocorrelated_errors.SINGLE
-)
+FOLLOWED: Final = FitPreset(Steps(12, 3, 0.0, "none", 4.0), of_one=True, noise="weighed", sides=1.0)
 """Fit of an image that follows others, near the prediction: two or three steps are enough there, more are far off."""
 
 WHILE_RUNNING: Final = FitPreset(
@@ -161,7 +164,7 @@ WHILE_RUNNING: Final = FitPreset(
     lines_per_pixel=LINES_PER_PIXEL,
     stride=2,
     as_seen=True,
-    sides=autocorrelated_errors.SINGLE,
+    sides=1.0,
 )
 """Fit of an image that has just come, in few drawings, from where the one before was.
 
@@ -288,7 +291,8 @@ def _outline_and_margin(
         return of_margin(outline)[:, None]
 
     whole = coverage.near_with_sides(at, noises, margin, drawn, stride=preset.stride, as_seen=as_seen)
-    both, own = without_sides(whole, SIDES * len(coverage.views), preset.sides), 6 + len(at.joints)
+    sides, own = np.eye(SIDES * len(coverage.views)), 6 + len(at.joints)
+    both = without_last(whole, sides / preset.sides**2)
     return Quadratic(both.information[:, :own, :own], both.slope[:, :own]), both.information[0, :own, own]
 
 

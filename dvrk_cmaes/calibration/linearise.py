@@ -13,18 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from dvrk_cmaes.calibration.autocorrelated_errors import IN_SESSION, CommonErrors, without_sides
 from dvrk_cmaes.calibration.blocks import Calibration, OutlineOfView, SeenBlock, ViewAsSeen
-from dvrk_cmaes.calibration.frame_fit import with_noise
-from dvrk_cmaes.calibration.frame_task import Run
-from dvrk_cmaes.calibration.model import SessionModel
+from dvrk_cmaes.calibration.frame_fit import SIDES_IN_SESSION, with_noise
+from dvrk_cmaes.calibration.model import CommonErrors, SessionModel
+from dvrk_cmaes.calibration.session_frame import Run, StoredFrame
 from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, Solved, Solver, marginalise
-from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.pose.terms.coverage import Coverage
-from dvrk_cmaes.pose.terms.shared_errors import SIDES
+from dvrk_cmaes.pose.terms.shared_errors import SIDES, without_last
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.silhouette import Body, OutlinePoints
@@ -60,7 +58,7 @@ def outline_task(
         return np.column_stack([block.effect(drawn_there) for block in blocks])
 
     whole = coverage.near_with_sides(at, own.noises, effects, drawn, as_seen=config.session.shadows)
-    left = without_sides(whole, SIDES, IN_SESSION)
+    left = without_last(whole, np.eye(SIDES) / SIDES_IN_SESSION**2)
     by_scale = np.ones(left.dimension)
     by_scale[:3] /= by.scale
     return Quadratic(left.information * np.outer(by_scale, by_scale), left.slope * by_scale)

@@ -24,10 +24,10 @@ from dvrk_cmaes.calibration.linearise import (
     linearise,
 )
 from dvrk_cmaes.calibration.model import SessionModel
+from dvrk_cmaes.calibration.session_frame import changed
 from dvrk_cmaes.calibration.session_masks import MarginEffect
 from dvrk_cmaes.calibration.session_shaft import SIZES, found_sizes, square_of_whole, usual_sizes
 from dvrk_cmaes.calibration.solve import FrameFits, inverse_information
-from dvrk_cmaes.calibration.stored_frame import changed
 from dvrk_cmaes.calibration.variances import solve_with_variances
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.lens import COEFFICIENT_COUNTS

@@ -13,7 +13,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.autocorrelated_errors import CommonErrors, frames_alike
 from dvrk_cmaes.calibration.blocks import Calibration, SeenBlock
 from dvrk_cmaes.calibration.cables import MARGIN, CableFit, estimate_cables
 from dvrk_cmaes.calibration.consensus import (
@@ -26,10 +25,9 @@ from dvrk_cmaes.calibration.consensus import (
 )
 from dvrk_cmaes.calibration.endoscope_search import describe_pieces, find_pieces
 from dvrk_cmaes.calibration.frame_fit import FrameFit, first_starts, next_starts
-from dvrk_cmaes.calibration.frame_task import Run, SessionFrame, fit_task, gather_task
 from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, SessionLag
 from dvrk_cmaes.calibration.linearise import ArmOutlines
-from dvrk_cmaes.calibration.model import Deviations, SessionModel
+from dvrk_cmaes.calibration.model import CommonErrors, Deviations, SessionModel, frames_alike
 from dvrk_cmaes.calibration.session_camera import (
     CAMERA,
     IMPLAUSIBLE,
@@ -41,6 +39,7 @@ from dvrk_cmaes.calibration.session_camera import (
     estimate_camera,
     file_deviations,
 )
+from dvrk_cmaes.calibration.session_frame import Run, SessionFrame, StoredFrame, fit_task, gather_task
 from dvrk_cmaes.calibration.session_masks import (
     MaskMargin,
     SessionMasks,
@@ -55,7 +54,6 @@ from dvrk_cmaes.calibration.solve import (
     solve_arms,
     solve_with_modes,
 )
-from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.calibration.variances import solve_with_variances
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
@@ -113,7 +111,7 @@ class ArmSession:
     current solution, None before the first one; ``start`` and ``moved`` (N) are the calibration and the poses from
     which the next round starts, where a camera or a margin was estimated since.
 
-    ``change`` (3,) is that of the camera, as of `stored_frame.changed`, None where the camera's file is used, and
+    ``change`` (3,) is that of the camera, as of `session_frame.changed`, None where the camera's file is used, and
     ``camera_found`` whether its last estimate is plausible; ``rig`` what the further views differ in from the
     file; ``masks`` states the margin of the masks, ``check`` is the test of the camera, None until
     they are known.

@@ -15,9 +15,9 @@ import numpy as np
 from dvrk_cmaes.calibration.consensus import INLIER_MISFIT
 from dvrk_cmaes.calibration.endoscope import Pieces, Steered
 from dvrk_cmaes.calibration.endoscope_search import LEAST_PIECE, find_hand_eye
-from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.lag import in_common
 from dvrk_cmaes.calibration.model import SessionModel, ecm_readings, outer_readings
+from dvrk_cmaes.calibration.session_frame import SessionFrame
 from dvrk_cmaes.calibration.session_problem import (
     Arms,
     ArmSession,

@@ -15,11 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.autocorrelated_errors import CommonErrors, frames_alike
 from dvrk_cmaes.calibration.blocks import Calibration
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes
 from dvrk_cmaes.calibration.frame_fit import FrameFit
-from dvrk_cmaes.calibration.model import SessionModel
+from dvrk_cmaes.calibration.model import CommonErrors, SessionModel, frames_alike
 from dvrk_cmaes.geometry import Float64, Indices, Posed
 from dvrk_cmaes.pose.refine.information import Eliminated, eliminate, times
 from dvrk_cmaes.pose.terms.term import Quadratic

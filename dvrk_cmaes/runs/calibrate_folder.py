@@ -16,7 +16,7 @@ from typing import Any
 
 from dvrk_cmaes.calibration.calibrate import SolvedSession, begin_arm
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.frame_task import Run, SessionFrame
+from dvrk_cmaes.calibration.session_frame import Run, SessionFrame
 from dvrk_cmaes.calibration.session_problem import ArmSetup
 from dvrk_cmaes.calibration.together import Begun
 from dvrk_cmaes.camera import Rig

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction
+from dvrk_cmaes.calibration.session_frame import LeaveOneOutPrediction
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.track_overlay import draw_track

@@ -17,8 +17,8 @@ import numpy as np
 
 from dvrk_cmaes.calibration.calibrate import SolvedSession, begin_arm
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.session_doubts import bad_predictions
+from dvrk_cmaes.calibration.session_frame import SessionFrame
 from dvrk_cmaes.calibration.session_problem import ArmSetup
 from dvrk_cmaes.calibration.session_trials import predict_from_first
 from dvrk_cmaes.calibration.together import Begun, Outcome

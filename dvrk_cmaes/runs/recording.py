@@ -11,9 +11,9 @@ import numpy as np
 
 from dvrk_cmaes.calibration.calibrate import SolvedSession
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.frame_task import Run
 from dvrk_cmaes.calibration.model import ecm_readings, outer_readings
 from dvrk_cmaes.calibration.prediction import Prediction
+from dvrk_cmaes.calibration.session_frame import Run
 from dvrk_cmaes.calibration.session_problem import ArmSetup
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.errors import InputError

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.calibrate import calibrate_session
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_fit import LINES_PER_PIXEL
-from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.model import ecm_readings
 from dvrk_cmaes.calibration.prediction import Prediction, endoscope_in, lag_and_std
 from dvrk_cmaes.calibration.session_doubts import bad_predictions
+from dvrk_cmaes.calibration.session_frame import SessionFrame
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError

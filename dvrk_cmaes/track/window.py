@@ -17,14 +17,13 @@ from typing import Final
 import numpy as np
 
 from dvrk_cmaes import _kernel
-from dvrk_cmaes.calibration.autocorrelated_errors import CORRELATED_FRAMES
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.prediction import Prediction
 from dvrk_cmaes.calibration.session_doubts import resting_on
+from dvrk_cmaes.calibration.session_frame import StoredFrame
 from dvrk_cmaes.calibration.session_masks import covariance_of_margin
 from dvrk_cmaes.calibration.solve import robust_weights
-from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN
@@ -47,6 +46,7 @@ SLOW_SECONDS: Final = 0.5
 FAST_SECONDS: Final = 0.1
 """Correlation times, s, of both parts."""
 
+_CORRELATED_FRAMES = 3.0  # near each other, whose masks err alike: the information of each counts as much less
 _JITTER = 1e-9  # of a covariance, so that it can be inverted
 
 
@@ -173,7 +173,7 @@ class WindowImage:
         least = deviation - own @ fit.slope
         misfit = float(least @ np.linalg.solve(spread + own, least)) / size
         weight = float(robust_weights(np.array([misfit * size]), size)[0]) if holds else 0.0
-        weight /= inflation * CORRELATED_FRAMES
+        weight /= inflation * _CORRELATED_FRAMES
         optimum = weight * (fit.information @ deviation - fit.slope)
         return cls(time, predicted, k, weight * fit.information, optimum, weight * fit.by_margin, misfit)
 
