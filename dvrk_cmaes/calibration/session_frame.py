@@ -14,7 +14,7 @@ from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.rig import turned_views
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
+from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.evidence.shadows import shadow_stretches
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import PackedMask, shown_views
@@ -203,22 +203,10 @@ class StoredFrame:
             tips = keypoints if view is data.views[0] else None
             shadows = None if view.image is None else shadow_stretches(view.image, view.mask)
             hidden = [part for part in (view.ignore, shadows) if part is not None]
-            evidence = gather_evidence(
-                view.mask,
-                view.camera,
-                body.instrument,
-                ignore=np.logical_or.reduce(hidden) if hidden else None,
-                keypoints=tips,
-                seed=config.seed,
-                features=features,
-            )
-            renderer = Renderer(body, evidence.camera, threads=1)
-            one = FrameView(view.name, evidence, renderer, view.view_from_camera)
+            ignore = np.logical_or.reduce(hidden) if hidden else None
+            one = FrameView.of(view, body, ignore, tips, seed=config.seed, features=features)
             if features and view.ignore is None and (held := held_in(one, own)) is not None:
-                free = gather_evidence(
-                    view.mask, view.camera, body.instrument, ignore=held, keypoints=tips, seed=config.seed
-                )
-                one = replace(one, evidence=free)
+                one = FrameView.of(view, body, held, tips, seed=config.seed)
             views.append(one)
         return cls.of_views(views, data.camera, with_noise(OwnEstimate.of(views, own), views, config))
 

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.camera.rig import known_mistakes, remarks_on_cameras
 from dvrk_cmaes.config import EstimateConfig, __version__
-from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.frames.seen_view import SeenView, left_out_views, seen_views, shown_views
 from dvrk_cmaes.geometry import Bool, inverse
 from dvrk_cmaes.instrument import Instrument
@@ -253,14 +252,12 @@ def _check_session(session: SessionCalibration, instrument: str, arm: Arm | None
 
 def _frame_views(seen: Sequence[SeenView], body: Body, settings: EstimateConfig) -> list[FrameView]:
     """Gather the evidence of each view, and make its renderer; poses are in the first one of them."""
-    views = []
+    first, views = seen[0], list[FrameView]()
     for view in seen:
-        evidence = gather_evidence(
-            view.mask, view.camera, body.instrument, ignore=view.ignore, keypoints=view.keypoints, seed=settings.seed
-        )
-        renderer = Renderer(body, view.camera, threads=settings.threads)
-        view_from_first = view.view_from_camera @ inverse(seen[0].view_from_camera)
-        views.append(FrameView(view.name, evidence, renderer, np.eye(4) if view is seen[0] else view_from_first))
+        seed, threads = settings.seed, settings.threads
+        found = FrameView.of(view, body, view.ignore, view.keypoints, seed=seed, threads=threads)
+        place = np.eye(4) if view is first else view.view_from_camera @ inverse(first.view_from_camera)
+        views.append(replace(found, view_from_camera=place))
     return views
 
 

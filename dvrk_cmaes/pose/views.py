@@ -17,7 +17,7 @@ import numpy as np
 from dvrk_cmaes.camera import View
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.distance_field import distance_field
-from dvrk_cmaes.evidence.gather import Evidence, shrunk, window_around
+from dvrk_cmaes.evidence.gather import Evidence, gather_evidence, shrunk, window_around
 from dvrk_cmaes.evidence.jaw_tips import largest_bend, shaft_width
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, distances_to, measure_noise
 from dvrk_cmaes.evidence.quantiles import median, quantile, steady_stretches
@@ -38,6 +38,23 @@ class FrameView:
     evidence: Evidence
     renderer: Renderer
     view_from_camera: Float64
+
+    @classmethod
+    def of(
+        cls,
+        seen: SeenView,
+        body: Body,
+        ignore: Bool | None,
+        keypoints: Float64 | None = None,
+        *,
+        seed: int = 0,
+        features: bool = True,
+        threads: int = 1,
+    ) -> FrameView:
+        """Gather the evidence of a view, as `gather_evidence`, and make its renderer with some ``threads``."""
+        shown = seen.mask, seen.camera, body.instrument
+        evidence = gather_evidence(*shown, ignore=ignore, keypoints=keypoints, seed=seed, features=features)
+        return cls(seen.name, evidence, Renderer(body, evidence.camera, threads=threads), seen.view_from_camera)
 
     def silhouette(self, at: Posed) -> Bool:
         """Draw the silhouette (H, W) of one pose in the reference camera."""

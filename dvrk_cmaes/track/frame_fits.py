@@ -26,7 +26,6 @@ from dvrk_cmaes.calibration.session_frame import StoredFrame
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import SeenView, overlap_of, shown_views
@@ -35,7 +34,7 @@ from dvrk_cmaes.pose.doubts import reasons, silhouette_without_colours
 from dvrk_cmaes.pose.terms.tips_term import Expected
 from dvrk_cmaes.pose.views import FrameView, silhouette_of
 from dvrk_cmaes.segment.regions import FINEST
-from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.image_masks import PASSES, SPREAD_OF_FIT, ColourModel, learned_colours, mask_around
 
 _LEAST_SHOWN = 40  # px of mask, from which on a frame is fitted
@@ -129,11 +128,7 @@ def views_that_show(seen: Sequence[SeenView], body: Body) -> list[FrameView]:
     shown = shown_views(seen)
     if max((int(np.count_nonzero(view.mask)) for view in shown), default=0) < _LEAST_SHOWN:
         return []
-    views = []
-    for view in shown:
-        evidence = gather_evidence(view.mask, view.camera, body.instrument, ignore=view.ignore, features=False)
-        views.append(FrameView(view.name, evidence, Renderer(body, evidence.camera, threads=1), view.view_from_camera))
-    return views
+    return [FrameView.of(view, body, view.ignore, features=False) for view in shown]
 
 
 def fit_near(
