@@ -83,6 +83,7 @@ _REMOVED: Final[dict[str, str]] = {
     **_of(_SESSIONS, ("--package-path", "--root-link", "--tool"), _TOOL),
     **_of(_SESSIONS, ("--camera-right", "--crop", "--stretch"), _PICTURES),
     **_of(("batch",), ("--shard", "--merge"), "`--frames` patterns with an --out each, or --scheduler"),
+    "batch --time-limit": "the fixed limit of 600 s a frame",
     "batch --retry-failed": "the same command: failed frames are estimated again",
     "calibrate --every": "--keyframes, or --frames with a pattern",
     "calibrate --instrument-candidates": "a calibration with each --instrument, and compare their leave-one-out",

@@ -37,7 +37,6 @@ OUTPUT = Group.create_ordered("Output")
 LARGEST_SEED = 2**32 - 1
 MOST_THREADS = MOST_WORKERS = 1000
 MOST_SKIPPED = 1_000_000  # of --every
-AUTO = "auto"  # of --lag
 NO_READINGS = "none"  # of --joints
 TWIN = "poses may be those of a mirror twin, and are doubtful"
 """What follows where there are no readings."""

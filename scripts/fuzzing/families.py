@@ -162,7 +162,7 @@ FAMILIES: tuple[Family, ...] = (
 )
 OPTIONS = (
     *("--seed", "--threads", "--frame", "--label", "--pick", "--side", "--arm", "--keypoints"),
-    *("--time-limit", "--workers", "--frames", "--scheduler", "--lag", "--every", "--session"),
+    *("--workers", "--frames", "--scheduler", "--lag", "--every", "--session"),
     *("--instrument", "--tool", "--package-path", "--root-link", "--config", "--camera", "--out"),
 )
 """Options that are added with odd values to the commands of the family ``options``."""
