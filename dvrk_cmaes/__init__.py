@@ -1,4 +1,10 @@
-"""Pose and joint angles of da Vinci Research Kit instruments from one endoscope frame, on a CPU."""
+"""Pose and joint angles of da Vinci Research Kit instruments from endoscope frames, on a CPU.
+
+`estimate` gives the `Result` of a frame from arrays: a mask, a `Camera` (`read_camera`), readings, an instrument that
+`prepare` prepares once. `calibrate_session` finds the arm's base in the camera and the readings' offsets from several
+frames. `Tracker` follows an instrument from image to image. `read_session` reads a folder of frames, `read_results`
+what the commands wrote. The same from a shell: `dvrk-cmaes help`.
+"""
 
 from __future__ import annotations
 

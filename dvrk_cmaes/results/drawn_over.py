@@ -3,42 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Protocol, Self
+from typing import Any
 
 import numpy as np
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import Bool, Float64, Image
+from dvrk_cmaes.geometry import Float64, Image
 from dvrk_cmaes.io.arguments import checked_array
 
 _COLOURS = {"ok": (233, 180, 86), "doubtful": (60, 200, 240), "lost": (0, 94, 213)}  # BGR, of the silhouette's outline
 _TIPS = (255, 255, 255)
-
-
-class SilhouetteModel(Protocol):
-    """What draws silhouettes of an instrument in a camera, as `dvrk_cmaes.Renderer` does."""
-
-    def at(self, width: int, height: int) -> Self:
-        """Return the same for another image size in pixels.
-
-        Parameters
-        ----------
-        width
-            Width of the images, px.
-        height
-            Height of the images, px.
-        """
-
-    def masks(self, camera_from_root: Float64, joints: Mapping[str, float]) -> Bool:
-        """Render the mask of a pose, (H, W).
-
-        Parameters
-        ----------
-        camera_from_root
-            (4, 4), m.
-        joints
-            Joint values by name, rad.
-        """
 
 
 def drawn_over(
@@ -46,16 +20,17 @@ def drawn_over(
     camera_from_root: Float64 | None,
     joints: Mapping[str, float],
     status: str,
-    renderer: SilhouetteModel | None,
+    renderer: Any,
 ) -> Image:
     """Return an image, (H, W, 3) BGR, with the outline of a pose in the colour of its status.
 
-    ``image`` is (H, W, 3) BGR, as OpenCV reads it, or grey (H, W), of any size of the camera's aspect.
+    ``image`` is (H, W, 3) BGR, as OpenCV reads it, or grey (H, W), of any size of the camera's aspect;
+    ``renderer`` is a `dvrk_cmaes.Renderer` of the instrument, or None.
 
     Raises
     ------
     InputError
-        The image is none, or there is a pose and no renderer.
+        The image is none or has another aspect than the camera's, or there is a pose and no renderer.
     """
     import cv2  # here, since it takes a seventh of a second and most who read results draw nothing
 
@@ -67,7 +42,10 @@ def drawn_over(
         return drawn
     if renderer is None:
         raise InputError("overlay: expected renderer=Renderer(body, camera) for a result that was read from a file")
-    height, width = drawn.shape[:2]
+    (height, width), camera = drawn.shape[:2], renderer.camera
+    if abs(width * camera.height - height * camera.width) > max(camera.width, camera.height):  # more than a pixel
+        size = f"{camera.width} x {camera.height}, the camera's"
+        raise InputError(f"image: expected {size}, or another size of that aspect, got {width} x {height}")
     mask = renderer.at(width, height).masks(camera_from_root, joints)
     thick = max(round(width / 400), 1)
     beyond = 4 * thick  # px, so that no line is drawn where the silhouette leaves the image

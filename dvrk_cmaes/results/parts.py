@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
-from typing import Any, Literal, Protocol
+from typing import Any, Final, Literal, Protocol
 
 import numpy as np
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import Float64, Posed
+from dvrk_cmaes.geometry import Float64, Image, Posed, in_parent
 from dvrk_cmaes.io.encode import SIGNIFICANT, Document, rounded_array, rounded_values
 from dvrk_cmaes.io.typed_document import Number, Point, SquareOfThree, Transform
+from dvrk_cmaes.results.drawn_over import drawn_over
+
+POSE_AXES: Final = ("tx", "ty", "tz", "rx", "ry", "rz")
+"""Names of the first six axes of a covariance; the joints follow."""
 
 Relation = Literal["mirror twin", "other mode"]
 
@@ -144,6 +149,63 @@ class Stated(Protocol):
     @property
     def joints(self) -> Mapping[str, float]:
         """Joint values, rad."""
+
+
+class PoseShown:
+    """What the results of a frame and of an image of a recording have in common: a covariance, and one line of text."""
+
+    status: str
+    reasons: tuple[str, ...]
+    camera_from_root: Float64 | None
+    joints: dict[str, float]
+    covariance: Float64 | None
+    renderer: Any
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle all but the renderer, which has the meshes."""
+        return {**self.__dict__, "renderer": None}
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes of ``covariance``: tx, ty, tz (m), rx, ry, rz (rad), then the joints (rad)."""
+        return (*POSE_AXES, *self.joints)
+
+    def covariance_in_camera(self) -> Float64 | None:
+        """Return the covariance (6 + J, 6 + J) with its first six axes along and about the camera's, m and rad.
+
+        None without a covariance.
+        """
+        if self.camera_from_root is None or self.covariance is None:
+            return None
+        return in_parent(self.camera_from_root, self.covariance)
+
+    def overlay(self, image: Image, renderer: Any = None) -> Image:
+        """Return an image with the outline of the pose, (H, W, 3) uint8 BGR, the order of the image given.
+
+        The outline is blue where the result is ok, yellow where it is doubtful, and red where it is lost.
+
+        Parameters
+        ----------
+        image
+            (H, W, 3) uint8 BGR, as OpenCV reads it, or grey (H, W), of the first camera, in any size of its aspect.
+        renderer
+            Of the instrument in the camera, for a result that was read from a file or unpickled.
+
+        Raises
+        ------
+        InputError
+            No such image, one of another aspect, or a pose without a renderer.
+        """
+        return drawn_over(image, self.camera_from_root, self.joints, self.status, renderer or self.renderer)
+
+    def _in_one_line(self, name: str, tips: str) -> str:
+        """Return status, pose, joints and reasons in the units of reports, after a name and before what tips are."""
+        said = [name, self.status]
+        if self.camera_from_root is not None:
+            said.append(f"position_mm={np.round(self.camera_from_root[:3, 3] * 1e3, 2).tolist()}")
+            said.append(f"joints_deg={ {joint: round(math.degrees(at), 2) for joint, at in self.joints.items()} }")
+        reasons = f"reasons={list(self.reasons)}" if self.reasons else ""
+        return f"{type(self).__name__}({', '.join(filter(None, [*said, tips, reasons]))})"
 
 
 def posed(stated: Stated, names: Sequence[str]) -> Posed:

@@ -10,7 +10,7 @@ import numpy as np
 
 from dvrk_cmaes.config import __version__
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.geometry import Float64, Image, Posed, in_parent
+from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.io.encode import encoded, encoded_fields, rounded_matrix
 from dvrk_cmaes.io.typed_document import (
     Count,
@@ -25,10 +25,11 @@ from dvrk_cmaes.io.typed_document import (
     read_covariance,
     refused,
 )
-from dvrk_cmaes.results.drawn_over import drawn_over
 from dvrk_cmaes.results.parts import (
+    POSE_AXES,
     Alternative,
     ExpectedError,
+    PoseShown,
     Quality,
     ViewCheck,
     data_frame,
@@ -56,9 +57,6 @@ Status = Literal["ok", "doubtful", "failed"]
 Source = Literal["frame", "session"]
 
 SCHEMA = 1
-POSE_AXES: Final = ("tx", "ty", "tz", "rx", "ry", "rz")
-"""Names of the first six axes of a covariance; the joints follow."""
-
 
 _LEAST: Final[Mapping[str, Any]] = {
     "frame": "",
@@ -74,7 +72,7 @@ _LEAST: Final[Mapping[str, Any]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class Result(PoseShown):
     """Pose and joint values of the instrument in one frame, with their uncertainty.
 
     camera_from_root : (4, 4), maps points of the root link to the camera's frame, m; None where the frame failed.
@@ -133,23 +131,10 @@ class Result:
     model: Any = field(default=None, repr=False)
     renderer: Any = field(default=None, repr=False)
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Pickle all but the renderer, which has the meshes."""
-        return {**self.__dict__, "renderer": None}
-
     def __repr__(self) -> str:
         """Show the status, the pose and the joints, in the units of reports; all fields are in `to_dict`."""
-        said = [repr(self.frame)] if self.frame else []
-        said.append(self.status)
-        if self.camera_from_root is not None:
-            said.append(f"position_mm={np.round(self.camera_from_root[:3, 3] * 1e3, 2).tolist()}")
-            joints = {name: round(float(np.degrees(value)), 2) for name, value in self.joints.items()}
-            said.append(f"joints_deg={joints}")
-        if self.expected_error is not None:
-            said.append(self.expected_error.in_words)
-        if self.reasons:
-            said.append(f"reasons={list(self.reasons)}")
-        return f"Result({', '.join(said)})"
+        tips = "" if self.expected_error is None else self.expected_error.in_words
+        return self._in_one_line(repr(self.frame) if self.frame else "", tips)
 
     @classmethod
     def failed(cls, frame: str, reason: str, readings: Mapping[str, float], **fields: Any) -> Result:
@@ -217,20 +202,6 @@ class Result:
         sigma = np.degrees(np.sqrt(np.diag(self.covariance)[6:]))
         return dict(zip(self.joints, sigma.tolist(), strict=True))
 
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of the axes of ``covariance``: tx, ty, tz (m), rx, ry, rz (rad), then the joints (rad)."""
-        return (*POSE_AXES, *self.joints)
-
-    def covariance_in_camera(self) -> Float64 | None:
-        """Return the covariance (6 + J, 6 + J) with its first six axes along and about the camera's, m and rad.
-
-        None without a covariance.
-        """
-        if self.camera_from_root is None or self.covariance is None:
-            return None
-        return in_parent(self.camera_from_root, self.covariance)
-
     def require_pose(self) -> Float64:
         """Return ``camera_from_root`` (4, 4), m.
 
@@ -246,25 +217,6 @@ class Result:
     def _repr_html_(self) -> str:
         """Show the row of `to_row` as a table in a notebook, a line each column."""
         return html_table(self.to_row().items())
-
-    def overlay(self, image: Image, renderer: Any = None) -> Image:
-        """Return an image with the outline of the pose, (H, W, 3) uint8 BGR, the order of the image given.
-
-        The outline is blue where the result is ok, and yellow where it is doubtful.
-
-        Parameters
-        ----------
-        image
-            (H, W, 3) uint8 BGR, as OpenCV reads it, or grey (H, W), of the first camera, in any size of its aspect.
-        renderer
-            Of the instrument in the camera, for a result that was read from a file.
-
-        Raises
-        ------
-        InputError
-            No such image, or a pose without a renderer.
-        """
-        return drawn_over(image, self.camera_from_root, self.joints, self.status, renderer or self.renderer)
 
     def to_row(self) -> dict[str, Any]:
         """Return the row of poses.csv: a number, a text or None by column, with the unit in the column's name."""

@@ -15,15 +15,13 @@ import numpy as np
 from msgspec import Struct
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import Bool, Float64, Image, in_parent, log_rotation
+from dvrk_cmaes.geometry import Bool, Float64, Image, log_rotation
 from dvrk_cmaes.io.csv_file import csv_text
 from dvrk_cmaes.io.encode import encoded, encoded_fields, rounded
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.json_file import parse_json, write_text
 from dvrk_cmaes.io.typed_document import Count, Number, Point, Texts, Transform, convert_document, refused
-from dvrk_cmaes.results.drawn_over import drawn_over
-from dvrk_cmaes.results.parts import data_frame, std_document
-from dvrk_cmaes.results.result import POSE_AXES
+from dvrk_cmaes.results.parts import PoseShown, data_frame, std_document
 
 TrackStatus = Literal["ok", "doubtful", "lost"]
 
@@ -44,7 +42,7 @@ class BaseKnown:
 
 
 @dataclass(frozen=True, eq=False)
-class TrackResult:
+class TrackResult(PoseShown):
     """Pose and joints of a followed instrument at the time of one image.
 
     time : s. status : ``lost`` if no evidence supports the pose, which is then predicted. reasons : of another status
@@ -79,40 +77,10 @@ class TrackResult:
     remarks: tuple[str, ...] = ()
     renderer: Any = field(default=None, repr=False)
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Pickle all but the renderer, which has the meshes."""
-        return {**self.__dict__, "renderer": None}
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of the axes of ``covariance``: tx, ty, tz (m), rx, ry, rz (rad), then the joints (rad)."""
-        return (*POSE_AXES, *self.joints)
-
-    def covariance_in_camera(self) -> Float64 | None:
-        """Return the covariance (6 + J, 6 + J) with its first six axes along and about the camera's, m and rad.
-
-        None without a covariance.
-        """
-        if self.camera_from_root is None or self.covariance is None:
-            return None
-        return in_parent(self.camera_from_root, self.covariance)
-
-    def overlay(self, image: Image) -> Image:
-        """Return an image with the outline of the pose, (H, W, 3) uint8 BGR, the order of the image given.
-
-        The outline is blue where the result is ok, yellow where it is doubtful, and red where it is predicted.
-
-        Parameters
-        ----------
-        image
-            (H, W, 3) uint8 BGR, as OpenCV reads it, or grey (H, W), of the first camera, in any size of its aspect.
-
-        Raises
-        ------
-        InputError
-            No such image.
-        """
-        return drawn_over(image, self.camera_from_root, self.joints, self.status, self.renderer)
+    def __repr__(self) -> str:
+        """Show the time, the status, the pose and the joints, in the units of reports; all fields are in `to_dict`."""
+        tips = "" if self.tip_std_mm is None else f"tips std {self.tip_std_mm:.2g} mm"
+        return self._in_one_line(f"time={self.time:.6g}", tips)
 
     def to_row(self, frame: str = "") -> dict[str, Any]:
         """Return the row of tracks.csv: a number or a text by column, with the unit in the column's name.

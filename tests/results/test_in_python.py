@@ -65,6 +65,22 @@ def test_overlay_keeps_the_order_of_colours_and_shows_the_outline_alone(result: 
     assert blue.sum() > 300
 
 
+@pytest.mark.parametrize("shape", [(10, 10), (480, 480, 3), (640, 480, 3)])
+def test_an_image_of_another_aspect_is_refused(result: Result, followed: TrackResult, shape: tuple[int, ...]) -> None:
+    for one in (result, followed):
+        with pytest.raises(InputError, match=r"^image: expected 640 x 480, the camera's, or another size of that asp"):
+            one.overlay(np.zeros(shape, np.uint8))
+    assert result.overlay(np.zeros((121, 160), np.uint8)).shape == (121, 160, 3)  # rounded
+
+
+def test_results_are_shown_in_one_line(result: Result, followed: TrackResult) -> None:
+    assert repr(result).startswith(f"Result('0001', {result.status}, position_mm=[")
+    assert repr(followed).startswith(f"TrackResult(time=0.03, {followed.status}, position_mm=[")
+    assert "joints_deg={'wrist_pitch': " in repr(followed)
+    assert f"reasons={[*followed.reasons]}" in repr(followed)
+    assert "\n" not in repr(followed)
+
+
 def test_a_result_from_a_file_needs_a_renderer_for_its_overlay(result: Result, tmp_path: Any) -> None:
     import json
 
