@@ -76,6 +76,36 @@ def test_two_tools_are_estimated_and_read_again(
     assert sum(re.fullmatch(r"  depth of the wrist: \d+\.\d mm", line) is not None for line in lines) == 2
 
 
+@pytest.mark.parametrize(
+    ("name", "arguments", "expected"),
+    [
+        (
+            "follow_recording.py",
+            [],
+            "expected a session folder with consecutive masks, and with times in its joints.csv",
+        ),
+        ("follow_recording.py", [ROOT / "data" / "demo"], "times in joints.csv, got no time of 0000"),
+        ("two_tools.py", ["both"], "expected a session folder of two arms, and a folder to write to"),
+        ("two_tools.py", ["no", "where"], "No such file or directory: 'no/joints_PSM1.csv'"),
+        (
+            "calibrate_session.py",
+            [],
+            "expected a session folder with readings of the outer joints, and the file to write",
+        ),
+        ("calibrate_session.py", ["no", "where"], "no: "),
+    ],
+)
+def test_example_without_what_it_needs_says_so_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str, arguments: list[Path], expected: str
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        run(name, monkeypatch, *arguments)
+    assert ended.value.code == 2
+    printed = capsys.readouterr()
+    (line,) = [line for line in printed.err.splitlines() if "imread" not in line]
+    assert expected in line
+
+
 def test_examples_and_notebook_call_every_public_function() -> None:
     notebook = json.loads((SCRIPTS / "examples" / "folder_to_plots.ipynb").read_text(encoding="utf-8"))
     cells = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]

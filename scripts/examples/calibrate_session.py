@@ -13,7 +13,16 @@ from pathlib import Path
 
 import numpy as np
 
-from dvrk_cmaes import SessionFrame, calibrate_session, estimate, prepare, read_calibration, read_frame, read_session
+from dvrk_cmaes import (
+    InputError,
+    SessionFrame,
+    calibrate_session,
+    estimate,
+    prepare,
+    read_calibration,
+    read_frame,
+    read_session,
+)
 
 
 def main(folder: str, out: str) -> None:
@@ -43,4 +52,11 @@ def main(folder: str, out: str) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:3])
+    if len(sys.argv) != 3:
+        print("expected a session folder with readings of the outer joints, and the file to write", file=sys.stderr)
+        sys.exit(2)
+    try:
+        main(*sys.argv[1:])
+    except (InputError, OSError) as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)

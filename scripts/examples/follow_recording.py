@@ -10,14 +10,17 @@ from __future__ import annotations
 
 import sys
 
-from dvrk_cmaes import Tracker, prepare, read_frame, read_session
+from dvrk_cmaes import InputError, Tracker, prepare, read_frame, read_session
 
 
 def main(folder: str) -> None:
     session = read_session(folder)
     tracker = Tracker(session.camera, prepare("lnd"))
     for files in session.frames:
-        assert files.time is not None  # s
+        if files.time is None:  # s
+            raise InputError(
+                f"{folder}: expected consecutive masks, and times in joints.csv, got no time of {files.name}"
+            )
         tracker.add_readings(files.time, files.readings)  # at any rate, also between the images
         mask = read_frame(files, session.camera).mask  # (H, W) bool
         pose = tracker.step(files.time, mask)
@@ -34,4 +37,11 @@ def main(folder: str) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    if len(sys.argv) != 2:
+        print("expected a session folder with consecutive masks, and with times in its joints.csv", file=sys.stderr)
+        sys.exit(2)
+    try:
+        main(*sys.argv[1:])
+    except InputError as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)

@@ -16,7 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from dvrk_cmaes import ToolInFrame, estimate_tools, load_instrument, read_camera, read_result, read_results
+from dvrk_cmaes import InputError, ToolInFrame, estimate_tools, load_instrument, read_camera, read_result, read_results
 
 
 def main(folder: str, out: str) -> None:
@@ -42,4 +42,11 @@ def main(folder: str, out: str) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:3])
+    if len(sys.argv) != 3:
+        print("expected a session folder of two arms, and a folder to write to", file=sys.stderr)
+        sys.exit(2)
+    try:
+        main(*sys.argv[1:])
+    except (InputError, OSError) as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)
