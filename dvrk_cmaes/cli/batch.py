@@ -48,6 +48,8 @@ if TYPE_CHECKING:
     from dvrk_cmaes.runs.batch import BatchSummary
     from dvrk_cmaes.runs.frame import ArmInSession
 
+_LONGEST_FRAME = 1e6  # s, of --time-limit
+
 
 @Parameter(name="*", group=FOLDER)
 @dataclass(frozen=True, kw_only=True)
@@ -74,6 +76,8 @@ class BatchOptions:
         Number of worker processes; by default the number of cores.
     scheduler
         Address of a Dask scheduler, e.g. tcp://head:8786: use its workers instead of local processes.
+    time_limit
+        Seconds after which a frame is stopped and marked as failed; for local processes only.
     lag
         Lag of the images behind the readings, in seconds or frames, such as 0.13 or 4frames, or 0: each frame gets the
         readings of that much earlier. By default it is that of --session; otherwise none is taken out.
@@ -87,6 +91,7 @@ class BatchOptions:
     pick: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     workers: int | None = None
     scheduler: str | None = None
+    time_limit: float = 600.0
     lag: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
 
     def check(self) -> None:
@@ -94,6 +99,7 @@ class BatchOptions:
         if self.workers is not None and self.scheduler is not None:
             raise InputError("--workers: expected no --scheduler with it, got both")
         check_range("--workers", self.workers, 1, MOST_WORKERS)
+        check_range("--time-limit", self.time_limit, 1e-3, _LONGEST_FRAME, "seconds")
 
     def asked(self, arm: ArmInSession, prompts: SegmentOptions) -> ArmInSession:
         """Return an arm with what is asked of its masks, of the images without one, and of the lag."""
@@ -204,6 +210,7 @@ def batch(
                 resume=wanted.resume,
                 scheduler=wanted.scheduler,
                 count=wanted.workers,
+                time_limit=wanted.time_limit,
             )
             if done.interrupted:
                 break

@@ -180,8 +180,7 @@ def estimate(
     """Estimate the pose of an instrument in the camera, and its joint angles, from one mask or one image.
 
     Candidates in LookAt space are compared with the mask by silhouettes that Embree casts rays for, CMA-ES (or one of
-    NLopt's algorithms, search.method in the settings file) searches from the best, and the modes found are refined on
-    the outline.
+    NLopt's algorithms, --search) searches from the best, and the modes found are refined on the outline.
 
     Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 doubtful (with reasons).
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Group, Parameter
 
 from dvrk_cmaes.cli.options import (
+    AUTO,
     LATEST,
     MOST_SKIPPED,
     OUTPUT,
@@ -173,7 +174,7 @@ class SelectedImages:
         readings this near gets none.
     lag
         Lag of the images behind the readings, in seconds, such as 0.13: each image gets the readings of that much
-        earlier. By default it is the lag found by --session; without that none is taken out.
+        earlier. With auto, or none given, it is the lag found by --session; without that none is taken out.
     calibration
         A session.json written by `calibrate` from a session imported from this recording, or from another one made in
         the same way: its lag is taken out.
@@ -324,12 +325,14 @@ def _lag(text: str | None, calibration: Path | None) -> tuple[Lag | None, str]:
     from dvrk_cmaes.calibration.document import read_calibration
     from dvrk_cmaes.joints.lag import Lag
 
-    if text is not None:
+    if text is not None and text != AUTO:
         given = Lag.parse("--lag", text)
         if given.seconds is None:
             raise InputError(f"--lag: expected a number of seconds such as 0.13, got {shown(text)}")
         return (given if given.seconds else None), ""
     if calibration is None:
+        if text == AUTO:
+            raise InputError("--lag: auto: expected --session FILE too, the session.json of a calibrated session")
         return None, ""
     found = read_calibration(calibration)
     if found.lag is None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Group, Parameter
 
 from dvrk_cmaes.cli.terminal import warn
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.io.short_text import is_number, shown
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ OUTPUT = Group.create_ordered("Output")
 LARGEST_SEED = 2**32 - 1
 MOST_THREADS = MOST_WORKERS = 1000
 MOST_SKIPPED = 1_000_000  # of --every
+AUTO = "auto"  # of --lag
 NO_READINGS = "none"  # of --joints
 TWIN = "poses may be those of a mirror twin, and are doubtful"
 """What follows where there are no readings."""
@@ -255,6 +256,12 @@ class MethodOptions:
 
     Parameters
     ----------
+    search
+        Method of the global search: cmaes (default), direct-l, bobyqa or sbplx. The others are there to compare
+        with: they find as many modes in more than twice the time.
+    preset
+        card: Gauss-Newton takes its derivatives by central differences of outlines drawn anew, not in closed form:
+        nearly the same poses, in more than twice the time.
     seed
         Seed of all random numbers, a whole number of at least 0; 0 by default. The same input and the same seed give
         the same result.
@@ -265,6 +272,8 @@ class MethodOptions:
         options override it.
     """
 
+    search: str | None = None
+    preset: Literal["card"] | None = None
     seed: int | None = None
     threads: int | None = None
     config: Path | None = None
@@ -280,6 +289,7 @@ class MethodOptions:
         from dvrk_cmaes.config import EstimateConfig
         from dvrk_cmaes.io.toml_file import read_config
         from dvrk_cmaes.pose.config_check import check_config
+        from dvrk_cmaes.pose.search import METHODS as SEARCHES
 
         settings = EstimateConfig()
         if self.config is not None:
@@ -288,6 +298,13 @@ class MethodOptions:
                 check_config(settings)
             except InputError as error:
                 raise InputError(f"{self.config}: {str(error).removeprefix('config: ')}") from None
+        if self.search is not None:
+            if self.search not in SEARCHES:
+                known = ", ".join(nearest_first(self.search, SEARCHES))
+                raise InputError(f"--search: expected one of {known}, got {self.search!r}")
+            settings = replace(settings, search=replace(settings.search, method=self.search))
+        if self.preset == "card":
+            settings = replace(settings, refine=replace(settings.refine, derivatives="differences"))
         check_range("--seed", self.seed, 0, LARGEST_SEED)
         check_range("--threads", self.threads, 1, MOST_THREADS)
         given = {name: value for name in ("seed", "threads") if (value := getattr(self, name)) is not None}

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import (
+    AUTO,
     FOLDER,
     MOST_SKIPPED,
     MOST_WORKERS,
@@ -71,8 +72,8 @@ class TrackOptions:
     joints
         File of readings to use instead of the session's own, or none: follow by masks alone.
     lag
-        Lag of the images behind the readings, in seconds or frames, such as 0.13 or 4frames. By default that of
-        --session, or found while following.
+        Lag of the images behind the readings, in seconds or frames, such as 0.13 or 4frames. auto: that of --session,
+        or found while following.
     causal
         Follow from image to image: no frame's result uses later ones. So are recordings without readings, and those
         of which fewer than 12 keyframes are usable or agree.
@@ -95,7 +96,7 @@ class TrackOptions:
     out: Path | None = None
     every: int = 1
     joints: str | None = None
-    lag: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    lag: Annotated[str, Parameter(allow_leading_hyphen=True)] = AUTO
     causal: Flag = False
     workers: int | None = None
     video: bool = True
@@ -154,7 +155,7 @@ class TrackOptions:
         rate = method.config.track.frames_a_second
         same = ("every", "causal", "workers", "video", "page", "rerun")
         settings = TrackSettings(
-            lag=None if self.lag is None else Lag.parse("--lag", self.lag).in_seconds(rate),
+            lag=None if self.lag == AUTO else Lag.parse("--lag", self.lag).in_seconds(rate),
             use_joints=self.joints != NO_READINGS,
             evidence=evidence,
             **{field: getattr(self, field) for field in same},

@@ -57,14 +57,15 @@ from dvrk_cmaes.runs.pool import run as run_tasks
 from dvrk_cmaes.runs.summary import summarize, timing_of
 from dvrk_cmaes.segment.segmentation import SegmentSettings
 
-_TIME_LIMIT = 600.0  # s, after which a frame is given up in a worker process
+TIME_LIMIT = 600.0
+"""Seconds after which a frame is given up in a worker process."""
 
 
 @dataclass(frozen=True, eq=False)
 class Workers:
     """What estimates frames: ``count`` processes, or the ``executor``, which may be open worker processes.
 
-    By default there are as many processes as the cores allow. A frame is given up after 600 s in a process.
+    By default there are as many processes as the cores allow. A frame is given up after ``time_limit`` s in a process.
     Once ``stop`` is set, running frames are finished and no more are started. ``progress`` is called at the start and
     after each frame, whose files are written, with the numbers of frames done and to do, and of those by status with
     the ones that have a result already. ``notice`` is called with messages about the whole batch.
@@ -72,6 +73,7 @@ class Workers:
 
     count: int | None = None
     executor: Executor | Executors | None = None
+    time_limit: float = TIME_LIMIT
     stop: threading.Event = field(default_factory=threading.Event)
     progress: Callable[[int, int, Mapping[str, int]], None] = lambda done, todo, statuses: None
     notice: Callable[[str], None] = lambda text: None
@@ -223,7 +225,7 @@ def outcomes(arm: ArmInSession, todo: Sequence[FrameFiles], workers: Workers) ->
             most = workers.count or max(1, usable_cores() // arm.method.config.threads)
             given = opened.enter_context(pool_of(arm.body, min(most, len(todo))))
         used = given if isinstance(given, Executors) else Executors(given, lambda: 2 * usable_cores())
-        done = run_tasks(used, todo, call, time_limit=_TIME_LIMIT, stop=stop)
+        done = run_tasks(used, todo, call, time_limit=workers.time_limit, stop=stop)
         for files, outcome in opened.enter_context(closing(done)):
             yield failed_outcome(arm, files, outcome.reason) if isinstance(outcome, WorkerDied) else outcome
 

@@ -65,13 +65,6 @@ def _session(target: Path, *, source: Path | str, frames: Collection[str] | None
             shutil.copy(path, copy)
 
 
-def _other_methods(target: Path) -> None:
-    """Copy the bundled session, with a settings file for each of two other methods of the search."""
-    _DEMO(target)
-    for method in ("bobyqa", "sbplx"):
-        (target / f"{method}.toml").write_text(f'[search]\nmethod = "{method}"\n', encoding="utf-8")
-
-
 def _one_eye(target: Path, *, source: str, frames: Sequence[str]) -> None:
     """Copy a stereo session, whose last frame lacks the right mask, and the others the left one."""
     _session(target, source=source, frames=frames)
@@ -159,10 +152,10 @@ CASES: Final = (
     Case("demo", _DEMO, (("batch", "inputs", "--out", "out", *_ONE),), bundled=True),
     Case(
         "methods",
-        _other_methods,
+        _DEMO,
         (
-            _frame("inputs", "0001", "bobyqa", "--config", "inputs/bobyqa.toml"),
-            _frame("inputs", "0001", "sbplx", "--config", "inputs/sbplx.toml"),
+            _frame("inputs", "0001", "bobyqa", "--search", "bobyqa"),
+            _frame("inputs", "0001", "sbplx", "--search", "sbplx"),
             _frame("inputs", "0001", "seed", "--seed", "1", "--image", "inputs/images/0001.jpg"),
         ),
         bundled=True,

@@ -161,8 +161,8 @@ FAMILIES: tuple[Family, ...] = (
     Family("options", "options", "", (_ESTIMATE, [*_BATCH, "new"], _TRACK, *_EXPORTS)),
 )
 OPTIONS = (
-    *("--seed", "--threads", "--frame", "--label", "--pick", "--side", "--arm", "--keypoints"),
-    *("--workers", "--frames", "--scheduler", "--lag", "--every", "--session"),
+    *("--seed", "--threads", "--frame", "--label", "--pick", "--search", "--side", "--arm", "--keypoints"),
+    *("--time-limit", "--workers", "--frames", "--scheduler", "--lag", "--every", "--session"),
     *("--instrument", "--tool", "--package-path", "--root-link", "--config", "--camera", "--out"),
 )
 """Options that are added with odd values to the commands of the family ``options``."""

@@ -80,11 +80,12 @@ def calibrated(path: Path, **changes: object) -> Path:
 
 def test_lag_of_a_calibrated_session_is_taken_out(imported: Import, tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", KINDS[0], good())
-    summary = imported(bag, "--session", calibrated(tmp_path / "session.json"), "--overwrite")
-    assert summary["lag_s"] == 0.05
-    expected = dict(zip(ARM, sweep(BEGIN + 2 * SECOND // 10 - SECOND // 20), strict=True))
-    frames = read_session("session").frames
-    assert {name: frames[2].readings[name] for name in ARM} == pytest.approx(expected, abs=1e-8)
+    for words in ((), ("--lag", "auto")):
+        summary = imported(bag, "--session", calibrated(tmp_path / "session.json"), "--overwrite", *words)
+        assert summary["lag_s"] == 0.05
+        expected = dict(zip(ARM, sweep(BEGIN + 2 * SECOND // 10 - SECOND // 20), strict=True))
+        frames = read_session("session").frames
+        assert {name: frames[2].readings[name] for name in ARM} == pytest.approx(expected, abs=1e-8)
 
 
 def test_lag_that_is_zero_within_its_error_is_not_taken_out(
@@ -103,10 +104,7 @@ def test_lag_that_is_zero_within_its_error_is_not_taken_out(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (
-            ["--lag", "auto"],
-            "--lag: expected a number of seconds such as 0.13, or of frames such as 4frames, got 'auto'",
-        ),
+        (["--lag", "auto"], "--lag: auto: expected --session FILE too, the session.json of a calibrated session"),
         (["--lag", "3frames"], "--lag: expected a number of seconds such as 0.13, got '3frames'"),
         (["--lag", "100"], "--lag: expected at most 60 seconds in magnitude, got '100'"),
         (
