@@ -221,7 +221,10 @@ def live(
     The topics are read and written through a rosbridge server (`ros2 launch rosbridge_server
     rosbridge_websocket_launch.xml`), so that no ROS is needed here. Of the images only the newest is followed. A lost
     connection is opened again. One line says how it goes. `dvrk-cmaes help live` lists the topics that are published,
-    and what to expect. Ends with Ctrl-C; with exit code 1 if there is nothing to follow within 10 s.
+    and what to expect.
+
+    Exit codes: 0 ended by Ctrl-C or --seconds, also if no pose was ok (the last line has their number), 1 nothing to
+    follow within 10 s, 2 wrong usage or input.
 
     Example:
 
@@ -255,6 +258,7 @@ def live(
     from dvrk_cmaes.results.folder import SESSION
     from dvrk_cmaes.runs.live_session import prepare_long_run
 
+    topics.of_arms(topics.psm)  # wrong usage is said before what is not installed
     connection = server.connection(LogThrottle(note))  # of the connection; follow has its own
     with ExitStack() as stack:
         setup = _described(topics, camera, instrument, calibrated, lag, config, output, stack)

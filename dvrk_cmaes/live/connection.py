@@ -39,6 +39,11 @@ class Connection:
     ros1: bool = field(default=False, kw_only=True)
     receivers: dict[str, Receive] = field(default_factory=dict)
 
+    @property
+    def connected(self) -> bool:
+        """Whether there is a connection now."""
+        return True
+
     def topics(self, timeout: float) -> Mapping[str, str] | None:
         """Return the types of all topics by name, which may take ``timeout`` s; None without a connection."""
         return dict.fromkeys(self.receivers, "")

@@ -260,12 +260,13 @@ class Inputs:
     def report_silence(self) -> tuple[str, ...]:
         """Report each topic once when it is silent, and once when it is heard again; returns those that are silent.
 
-        Topics that were never heard count from the first call.
+        Topics count from the first call with a connection; nothing is reported without one.
         """
         now = self.now()
-        self._began = now if self._began is None else self._began
+        if self._began is None or not self._connection.connected:
+            self._began = now
         for topic in self.topics.timed:
-            quiet = now - self._heard.get(topic, self._began)
+            quiet = now - max(self._heard.get(topic, self._began), self._began)
             if quiet > self._longest_silence and topic not in self._silent:
                 self._silent.add(topic)
                 self._report(f"{topic}: no message for {quiet:.1f} s")

@@ -58,6 +58,11 @@ class RosbridgeConnection(Connection):
         self._ros: Any = None
         self._flow = _Flow()
 
+    @property
+    def connected(self) -> bool:
+        """Whether there is a connection now."""
+        return self._ready.is_set()
+
     def open(self, timeout: float) -> bool:
         """Start to connect; returns whether there is a connection after ``timeout`` s. Attempts go on if not."""
         for name in ("roslibpy", "twisted"):  # what they would log is reported here

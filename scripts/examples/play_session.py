@@ -1,5 +1,6 @@
 """Play a recording over rosbridge's protocol, as a robot would send it, to try ``dvrk-cmaes live`` without one.
 
+    pip install '.[ros]' tornado
     dvrk-cmaes synth session --motion video --level easy --frames 150
     python scripts/examples/play_session.py session
 
@@ -258,5 +259,6 @@ def main(folder: str, port: int = 9090) -> None:
 if __name__ == "__main__":
     try:
         main(sys.argv[1], *map(int, sys.argv[2:3]))
-    except OSError as error:
-        sys.exit(f"{sys.argv[1:]}: {error.strerror} (a session folder, and a port that is free)")
+    except (IndexError, ValueError, OSError) as error:
+        print(f"expected a session folder with readings, and a port that is free: {error}", file=sys.stderr)
+        sys.exit(2)

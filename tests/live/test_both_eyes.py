@@ -138,6 +138,23 @@ def test_eye_that_is_silent_is_not_waited_for() -> None:
     assert list(again.decoded().masks["PSM1"]) == ["left", "right"]
 
 
+def test_topics_are_silent_only_from_the_connection_on() -> None:
+    class Later(Wire):
+        up = False
+
+        @property
+        def connected(self) -> bool:
+            return self.up
+
+    wire = Later()
+    robot = Robot(PLAIN, wire=wire)
+    for now, connected, silent in ((100.0, False, 0), (103.0, False, 0), (103.5, True, 0), (104.8, True, 2)):
+        robot.clock.now, wire.up = now, connected
+        assert len(robot.inputs.report_silence()) == silent
+        assert len(robot.lines) == silent
+    assert robot.lines[0].endswith(": no message for 1.8 s")
+
+
 def test_images_without_the_masks_that_are_awaited_are_no_frames_and_no_error() -> None:
     robot = Robot(MASKED, pair())
     for k in range(40):

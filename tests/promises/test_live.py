@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
@@ -308,5 +309,8 @@ def test_silent_server_is_one_line_and_exit_code_1(silent: subprocess.Popen[str]
         (("--image-topic", "/i", "--right-mask-topic", "/m"), "--right-image-topic: expected"),
     ],
 )
-def test_topics_that_do_not_go_together_are_refused(words: tuple[str, ...], expected: str) -> None:
+def test_topics_that_do_not_go_together_are_refused_before_a_library_that_is_not_there(
+    words: tuple[str, ...], expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "roslibpy", None)
     assert run("live", *words).refusal.startswith(expected)
