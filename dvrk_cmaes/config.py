@@ -326,7 +326,7 @@ class SessionConfig:
         Squared misfit per degree of freedom above which a frame disagrees with the session. A new frame below it, whose
         mask the predicted pose explains, is not searched globally.
     cables
-        Whether coupling and play of the cables are estimated, in addition to the offsets.
+        Whether coupling, play and wander of the cables are estimated, in addition to the offsets.
     shadows
         Whether stretches of a mask that lie off the silhouette of a fit count less the farther off they are, as where a
         shadow beside the shaft was taken for it. Keyframes of a recording that is followed as it comes always do.

@@ -1,7 +1,7 @@
 """Estimation of what cables do to a session's readings, from the outline fits of its frames.
 
 Given the base, each frame's fit is an uncertain observation of the errors of roll and of the instrument's joints.
-Models of these errors, from one offset a joint to coupling and play, are compared by the likelihood of all
+Models of these errors, from one offset a joint to coupling, play and wander, are compared by the likelihood of all
 observations with the priors of `joints.cable_prior`. A larger model is only used where it is more likely than one
 offset by a margin; otherwise nothing is corrected. Each frame is corrected by what all other frames show of it.
 
@@ -9,7 +9,7 @@ Frames are fitted with the corrections of the round before as a prior, and favou
 margin only holds in the last round; before, frames are fitted with the most likely model.
 
 The parameters are not unknowns of the session's linearised problem, as its other constants are: the choice between the
-models needs the likelihood of each, which their own normal equations give with the parameters.
+models needs the likelihood of each, which the filters give with the parameters, and wander differs from frame to frame.
 As such unknowns, those of a chosen model find the same base, and predict frames that are left out hardly better.
 """
 
@@ -25,21 +25,38 @@ from dvrk_cmaes.calibration.blocks import Calibration
 from dvrk_cmaes.calibration.lag import SessionLag
 from dvrk_cmaes.calibration.model import Correction, Deviations, SessionModel, frames_alike
 from dvrk_cmaes.calibration.solve import FrameFits, Solved
-from dvrk_cmaes.geometry import Bool, Float64
+from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.io.encode import Document, rounded, rounded_array
 from dvrk_cmaes.io.typed_document import Number, Texts, refused
-from dvrk_cmaes.joints.cable_inference import Coefficients, Observations, log_likelihood
+from dvrk_cmaes.joints.cable_inference import (
+    Assumed,
+    Filtered,
+    Observations,
+    leave_one_out,
+    log_likelihood,
+    run_filters,
+)
 from dvrk_cmaes.joints.cable_prior import NARROW, CablePrior, Play, cable_prior, features
 
-Part = Literal["coupling", "play"]
+Part = Literal["coupling", "play", "wander"]
 Row = tuple[Number, ...]
 Table = tuple[Row, ...]
 
-_MODELS: Final[tuple[tuple[Part, ...], ...]] = ((), ("coupling",), ("coupling", "play"))
-_NOISES: Final = (2.0, 1.2, 0.7, 0.4, 0.2, 0.1)  # trial factors on the standard deviations from frame to frame
+_MODELS: Final[tuple[tuple[Part, ...], ...]] = (
+    (),
+    ("coupling",),
+    ("wander",),
+    ("coupling", "play"),
+    ("coupling", "play", "wander"),
+)
+_NOISES: Final = (2.0, 1.2, 0.7, 0.4, 0.2, 0.1)  # trial factors on the standard deviations from frame to frame,
+_WANDERS: Final = (0.5, 2.0)  # and, besides 1, on those of the wander
 _WIDENINGS: Final = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 10.0)  # trial factors on the variances of predictions
 MARGIN: Final = 4.0
 """Nats by which a larger model must be more likely than one offset a joint, for frames fitted with the larger one."""
+_ORDERED: Final = {"play", "wander"}
+"""Parts that need the order of the frames in time."""
+
 _ROLL_AXIS: Final = 5  # of a small change of the root's pose
 _ROLL: Final = 3  # index among the outer joints
 _ALIKE_SECONDS: Final = 1.0  # over which masks err alike, so that their frames count as one
@@ -49,20 +66,26 @@ _ALIKE_SECONDS: Final = 1.0  # over which masks err alike, so that their frames 
 class CableSession:
     """What a session's N frames show of the errors of C joints, roll and those of the instrument.
 
-    ``names`` are the joints, ``readings`` (N, C) what was read, rad, NaN where nothing was. ``play``
-    is None where the frames have no order. ``information`` (N, C, C) and ``vector`` (N, C) are the
+    ``names`` are the joints, ``readings`` (N, C) what was read, rad, NaN where nothing was. ``times`` (N,), s, and
+    ``play`` are None where the frames have no order. ``information`` (N, C, C) and ``vector`` (N, C) are the
     observations of the errors beyond ``offsets`` (C,), whose prior has the standard deviations ``offset_std`` (C,).
     ``noise`` (C,) are the usual standard deviations from frame to frame, rad.
     """
 
     names: tuple[str, ...]
     readings: Float64
+    times: Float64 | None
     play: Play | None
     information: Float64
     vector: Float64
     offsets: Float64
     offset_std: Float64
     noise: Float64
+
+    @property
+    def order(self) -> Indices:
+        """Indices of the frames in the order of time."""
+        return np.arange(len(self.readings)) if self.times is None else np.argsort(self.times, kind="stable")
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +95,7 @@ class CableFit:
     ``names`` are the joints. ``parts`` are those besides the offsets; ``gain`` is the logarithm of the ratio of its
     likelihood to that of offsets alone. ``reference`` (C,) are the readings at which coupling adds nothing.
     ``coefficients`` and ``std`` (C, 2 C + 1) are those of `joints.cables.features` with their standard deviations, zero
-    where a part is missing. ``noise`` (C,), rad, are standard deviations. ``offset`` (C,), rad, are the
+    where a part is missing. ``wander`` and ``noise`` (C,), rad, are standard deviations. ``offset`` (C,), rad, are the
     mean errors at the reference. ``correction`` is that of each frame by the others.
     """
 
@@ -82,6 +105,7 @@ class CableFit:
     reference: Float64
     coefficients: Float64
     std: Float64
+    wander: Float64
     noise: Float64
     offset: Float64
     correction: Correction
@@ -123,7 +147,7 @@ def estimate_cables(
     readings, prior = np.concatenate([model.outer[:, _ROLL:], model.joints], axis=1), cable_prior(names)
     play, offsets = lag.play(names, readings, prior.model.width), solution.calibration.offsets[1:]
     noise = np.concatenate([usual.outer[_ROLL:], usual.joints])
-    seen = CableSession(names, readings, play, information, vector, offsets, offset_std, noise)
+    seen = CableSession(names, readings, times, play, information, vector, offsets, offset_std, noise)
     return fit_cables(seen, prior, margin)
 
 
@@ -157,45 +181,50 @@ def fit_cables(session: CableSession, prior: CablePrior, margin: float = MARGIN)
 
     The second one is the most likely of those that need nothing but the reading of a frame itself.
     """
-    fits = [_fit(session, prior, parts) for parts in _MODELS if session.play is not None or "play" not in parts]
+    fits = [_fit(session, prior, parts) for parts in _MODELS if session.play is not None or not _ORDERED & {*parts}]
     least = fits[0].likelihood
 
     def most_likely(among: list[_TrialFit]) -> CableFit:
         best = max(among, key=lambda fit: fit.likelihood)
         return (best if best.likelihood > least + margin else among[0]).described(session, least)
 
-    return most_likely(fits), most_likely([fit for fit in fits if "play" not in fit.parts])
+    return most_likely(fits), most_likely([fit for fit in fits if not _ORDERED & {*fit.parts}])
 
 
 @dataclass(frozen=True, eq=False)
 class _TrialFit:
-    """A model fitted with one choice of noise; ``active`` (C, 2 C + 1) marks its coefficients."""
+    """A model fitted with one choice of noise and wander; ``active`` (C, 2 C + 1) marks its coefficients."""
 
     parts: tuple[Part, ...]
     active: Bool
     given: Observations
-    found: Coefficients
+    assumed: Assumed
+    filtered: Filtered
 
     @property
     def likelihood(self) -> float:
         """Logarithm of the likelihood of all observations."""
-        return self.found.log_likelihood
+        return self.filtered.log_likelihood
 
     def described(self, session: CableSession, least: float) -> CableFit:
         """Return the fit with each frame's correction; ``least`` is the log-likelihood of offsets alone."""
-        count, found = len(session.names), self.found
+        count = len(session.names)
         coefficients, std = np.zeros(self.active.shape), np.zeros(self.active.shape)
-        coefficients[self.active] = found.mean[count:]
-        std[self.active] = np.sqrt(np.diag(found.covariance)[count:])
-        correction, noise = Correction.none(len(session.readings), count - 1), found.noise
+        coefficients[self.active] = self.filtered.mean[count:]
+        std[self.active] = np.sqrt(np.diag(self.filtered.covariance)[count:])
+        correction, noise = Correction.none(len(session.readings), count - 1), self.assumed.noise
         if self.parts:
-            means, covariances = found.leave_one_out(self.given.terms)
+            means, covariances = leave_one_out(self.filtered)
             widening = _widening(self.given, means, covariances + np.diag(noise**2))
-            correction = Correction(means - found.mean[:count], widening * np.einsum("nii->ni", covariances))
+            back = np.argsort(session.order)
+            values = (means - self.filtered.mean[:count])[back]
+            correction = Correction(values, widening * np.einsum("nii->ni", covariances)[back])
             noise = noise * np.sqrt(widening)
-        offset = session.offsets + found.mean[:count]
-        fitted = coefficients, std, noise, offset, correction
-        return CableFit(session.names, self.parts, self.likelihood - least, _reference(session), *fitted)
+        wander = self.assumed.wander if "wander" in self.parts else np.zeros(count)
+        gain = self.likelihood - least
+        offset = session.offsets + self.filtered.mean[:count]
+        fitted = coefficients, std, wander, noise, offset, correction
+        return CableFit(session.names, self.parts, gain, _reference(session), *fitted)
 
 
 def _widening(given: Observations, means: Float64, covariances: Float64) -> Float64:
@@ -222,7 +251,7 @@ def _reference(session: CableSession) -> Float64:
 
 
 def _fit(session: CableSession, prior: CablePrior, parts: tuple[Part, ...]) -> _TrialFit:
-    """Fit one model with each of the trial noises, and keep the most likely one."""
+    """Fit one model with each of the trial noises and wanders, and keep the most likely one."""
     count = len(session.names)
     active = np.zeros((count, 2 * count + 1), np.bool_)
     active[:, :count] = "coupling" in parts
@@ -230,12 +259,25 @@ def _fit(session: CableSession, prior: CablePrior, parts: tuple[Part, ...]) -> _
     given = _observations(session, active)
     mean = np.concatenate([-session.offsets, prior.model.coefficients[active]])
     std = np.concatenate([session.offset_std, prior.spread[active]])
-    tried = [Coefficients.of(given, mean, std, noise * session.noise) for noise in _NOISES]
-    return _TrialFit(parts, active, given, max(tried, key=lambda one: one.log_likelihood))
+
+    def tried(pairs: Sequence[tuple[float, float]]) -> list[_TrialFit]:
+        """Fit with noises and wanders in their usual sizes."""
+        assumed = [
+            Assumed(mean, std, wander * prior.model.wander, prior.model.seconds, noise * session.noise)
+            for noise, wander in pairs
+        ]
+        filtered = run_filters(given, assumed)
+        return [_TrialFit(parts, active, given, *pair) for pair in zip(assumed, filtered, strict=True)]
+
+    usual = 1.0 if "wander" in parts else 0.0
+    trials = dict(zip(_NOISES, tried([(noise, usual) for noise in _NOISES]), strict=True))
+    best = max(_NOISES, key=lambda noise: trials[noise].likelihood)
+    others = tried([(best, wander) for wander in _WANDERS]) if "wander" in parts else []
+    return max([trials[best], *others], key=lambda fit: fit.likelihood)
 
 
 def _observations(session: CableSession, active: Bool) -> Observations:
-    """Return the frames' observations, with offsets and the active coefficients as unknowns."""
+    """Return the frames' observations in the order of time, with offsets and the active coefficients as unknowns."""
     frames, count = session.readings.shape
     play = session.play or Play(np.zeros((frames, count)), np.zeros((frames, count)))
     every = features(session.readings, play, _reference(session))
@@ -244,10 +286,12 @@ def _observations(session: CableSession, active: Bool) -> Observations:
     terms[:, np.arange(count), np.arange(count)] = 1.0
     for k, (joint, feature) in enumerate(own):
         terms[:, joint, count + k] = every[:, joint, feature]
-    return Observations(terms, session.information, session.vector)
+    times = np.zeros(frames) if session.times is None else session.times
+    order = session.order
+    return Observations(times[order], terms[order], session.information[order], session.vector[order])
 
 
-_ROWS = {"reference", "noise", "offset"}
+_ROWS = {"reference", "wander", "noise", "offset"}
 _TABLES = {"coupling", "coupling_std", "play", "play_std", "std"}
 _CERTAIN = 2.0  # standard deviations beyond which a coefficient is described in words,
 _LEAST_COUPLING = 0.03  # if it is at least this, rad a rad,
@@ -273,9 +317,9 @@ class CablesAlone:
 class SessionCables(Document):
     """The cables of a session, by joint in the order of ``joints``; rad and s.
 
-    parts : what is used besides the offsets: coupling, play. gain : logarithm of how many times more likely the
+    parts : what is used besides the offsets: coupling, play, wander. gain : logarithm of how many times more likely the
     session is with them. reference : readings at which coupling adds nothing.
-    coupling, play, noise : as in `joints.cables.CableModel`, play with what the joint's own narrow band adds;
+    coupling, play, wander, noise : as in `joints.cables.CableModel`, play with what the joint's own narrow band adds;
     those of parts that are not used are zero. coupling_std, play_std : their standard deviations.
     alone : for frames without an order.
     """
@@ -288,6 +332,7 @@ class SessionCables(Document):
     coupling_std: Table
     play: Table
     play_std: Table
+    wander: Row
     noise: Row
     alone: CablesAlone
 
@@ -316,6 +361,7 @@ class SessionCables(Document):
             coupling_std=_table(coupling_std),
             play=_table(play + own * narrow),
             play_std=_table(np.hypot(play_std, own * narrow_std)),
+            wander=_row(fit.wander),
             noise=_row(fit.noise),
             alone=CablesAlone(
                 _row(alone.offset),
@@ -368,6 +414,12 @@ class SessionCables(Document):
             text = f"{acts} by up to {size * abs(play[j, k]):.0f} deg, std {size * play_std[j, k]:.0f}"
             texts.append((abs(play[j, k]), text))
         yield from (text for _, text in sorted(texts, reverse=True))
+        if "wander" in self.parts:
+            each = ", ".join(
+                f"{name} {np.degrees(std):.1f} deg over {time:.0f} s"
+                for name, std, time in zip(self.joints, self.wander, prior.model.seconds, strict=True)
+            )
+            yield f"wander: {each}"
 
 
 def _clear(values: Float64, std: Float64, usual: Float64, least: Float64 | float) -> list[list[int]]:

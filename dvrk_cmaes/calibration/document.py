@@ -84,7 +84,7 @@ class SessionCalibration:
     iou, contour_px_95 : medians over the frames used, of the silhouettes at the poses of the joint solution.
     lag : lag of the images behind the readings; None if the session does not determine it.
     lag_curve : disagreement of the frames as a function of the lag; None if no lag was searched.
-    cables : coupling and play of the cables; None if offsets explain the session as well.
+    cables : coupling, play and wander of the cables; None if offsets explain the session as well.
     camera : change of the camera that the frames fit; None if it was not tested.
     camera_errors : (6, 6) covariance of camera and size with which the session was solved, by file and frames, in the
     order of `PARAMETERS`.

@@ -72,7 +72,7 @@ def cables_of() -> SessionCables:
     coupling = tuple(tuple(0.25 * (j == 1 and k == 2) for k in range(count)) for j in range(count))
     play = tuple(tuple(0.5 * (j == k == 2) for k in range(count)) for j in range(count))
     return SessionCables(
-        parts=("coupling", "play"),
+        parts=("coupling", "play", "wander"),
         gain=20.0,
         joints=names,
         reference=none,
@@ -80,6 +80,7 @@ def cables_of() -> SessionCables:
         coupling_std=((0.05,) * count,) * count,
         play=play,
         play_std=((0.1,) * count,) * count,
+        wander=(0.01, 0.05, 0.05, 0.05),
         noise=(0.01,) * count,
         alone=CablesAlone(tuple(OFFSETS[name] for name in names), coupling, zeros, (0.05,) * count),
     )
