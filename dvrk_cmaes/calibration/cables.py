@@ -182,49 +182,14 @@ def fit_cables(session: CableSession, prior: CablePrior, margin: float = MARGIN)
     The second one is the most likely of those that need nothing but the reading of a frame itself.
     """
     fits = [_fit(session, prior, parts) for parts in _MODELS if session.play is not None or not _ORDERED & {*parts}]
-    least = fits[0].likelihood
+    least = fits[0].gain
 
-    def most_likely(among: list[_TrialFit]) -> CableFit:
-        best = max(among, key=lambda fit: fit.likelihood)
-        return (best if best.likelihood > least + margin else among[0]).described(session, least)
+    def most_likely(among: list[CableFit]) -> CableFit:
+        best = max(among, key=lambda fit: fit.gain)
+        best = best if best.gain > least + margin else among[0]
+        return replace(best, gain=best.gain - least)
 
     return most_likely(fits), most_likely([fit for fit in fits if not _ORDERED & {*fit.parts}])
-
-
-@dataclass(frozen=True, eq=False)
-class _TrialFit:
-    """A model fitted with one choice of noise and wander; ``active`` (C, 2 C + 1) marks its coefficients."""
-
-    parts: tuple[Part, ...]
-    active: Bool
-    given: Observations
-    assumed: Assumed
-    filtered: Filtered
-
-    @property
-    def likelihood(self) -> float:
-        """Logarithm of the likelihood of all observations."""
-        return self.filtered.log_likelihood
-
-    def described(self, session: CableSession, least: float) -> CableFit:
-        """Return the fit with each frame's correction; ``least`` is the log-likelihood of offsets alone."""
-        count = len(session.names)
-        coefficients, std = np.zeros(self.active.shape), np.zeros(self.active.shape)
-        coefficients[self.active] = self.filtered.mean[count:]
-        std[self.active] = np.sqrt(np.diag(self.filtered.covariance)[count:])
-        correction, noise = Correction.none(len(session.readings), count - 1), self.assumed.noise
-        if self.parts:
-            means, covariances = leave_one_out(self.filtered)
-            widening = _widening(self.given, means, covariances + np.diag(noise**2))
-            back = np.argsort(session.order)
-            values = (means - self.filtered.mean[:count])[back]
-            correction = Correction(values, widening * np.einsum("nii->ni", covariances)[back])
-            noise = noise * np.sqrt(widening)
-        wander = self.assumed.wander if "wander" in self.parts else np.zeros(count)
-        gain = self.likelihood - least
-        offset = session.offsets + self.filtered.mean[:count]
-        fitted = coefficients, std, wander, noise, offset, correction
-        return CableFit(session.names, self.parts, gain, _reference(session), *fitted)
 
 
 def _widening(given: Observations, means: Float64, covariances: Float64) -> Float64:
@@ -250,8 +215,11 @@ def _reference(session: CableSession) -> Float64:
     return np.asarray(np.where(read, session.readings, 0.0).sum(axis=0) / np.maximum(read.sum(axis=0), 1))
 
 
-def _fit(session: CableSession, prior: CablePrior, parts: tuple[Part, ...]) -> _TrialFit:
-    """Fit one model with each of the trial noises and wanders, and keep the most likely one."""
+def _fit(session: CableSession, prior: CablePrior, parts: tuple[Part, ...]) -> CableFit:
+    """Fit one model with each of the trial noises and wanders; the most likely one, whose ``gain`` is its likelihood.
+
+    That is the logarithm of the likelihood of all observations.
+    """
     count = len(session.names)
     active = np.zeros((count, 2 * count + 1), np.bool_)
     active[:, :count] = "coupling" in parts
@@ -260,20 +228,32 @@ def _fit(session: CableSession, prior: CablePrior, parts: tuple[Part, ...]) -> _
     mean = np.concatenate([-session.offsets, prior.model.coefficients[active]])
     std = np.concatenate([session.offset_std, prior.spread[active]])
 
-    def tried(pairs: Sequence[tuple[float, float]]) -> list[_TrialFit]:
+    def tried(pairs: Sequence[tuple[float, float]]) -> list[tuple[Assumed, Filtered]]:
         """Fit with noises and wanders in their usual sizes."""
         assumed = [
             Assumed(mean, std, wander * prior.model.wander, prior.model.seconds, noise * session.noise)
             for noise, wander in pairs
         ]
-        filtered = run_filters(given, assumed)
-        return [_TrialFit(parts, active, given, *pair) for pair in zip(assumed, filtered, strict=True)]
+        return list(zip(assumed, run_filters(given, assumed), strict=True))
 
     usual = 1.0 if "wander" in parts else 0.0
     trials = dict(zip(_NOISES, tried([(noise, usual) for noise in _NOISES]), strict=True))
-    best = max(_NOISES, key=lambda noise: trials[noise].likelihood)
+    best = max(_NOISES, key=lambda noise: trials[noise][1].log_likelihood)
     others = tried([(best, wander) for wander in _WANDERS]) if "wander" in parts else []
-    return max([trials[best], *others], key=lambda fit: fit.likelihood)
+    assumed, found = max([trials[best], *others], key=lambda one: one[1].log_likelihood)
+    coefficients, deviations = np.zeros(active.shape), np.zeros(active.shape)
+    coefficients[active], deviations[active] = found.mean[count:], np.sqrt(np.diag(found.covariance)[count:])
+    correction, noise = Correction.none(len(session.readings), count - 1), assumed.noise
+    if parts:
+        means, covariances = leave_one_out(found)
+        widening = _widening(given, means, covariances + np.diag(noise**2))
+        back = np.argsort(session.order)
+        values = (means - found.mean[:count])[back]
+        correction = Correction(values, widening * np.einsum("nii->ni", covariances)[back])
+        noise = noise * np.sqrt(widening)
+    wander, offset = usual * assumed.wander, session.offsets + found.mean[:count]
+    fitted = coefficients, deviations, wander, noise, offset, correction
+    return CableFit(session.names, parts, found.log_likelihood, _reference(session), *fitted)
 
 
 def _observations(session: CableSession, active: Bool) -> Observations:
