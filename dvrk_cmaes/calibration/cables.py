@@ -1,9 +1,9 @@
 """Estimation of what cables do to a session's readings, from the outline fits of its frames.
 
 Given the base, each frame's fit is an uncertain observation of the errors of roll and of the instrument's joints.
-Models of these errors, from one offset a joint to coupling, play and wander, are compared by the likelihood of all
-observations with the priors of `joints.cable_prior`. A larger model is only used where it is more likely than one
-offset by a margin; otherwise nothing is corrected. Each frame is corrected by what all other frames show of it.
+Models of these errors, one offset a joint, with coupling, and with play and wander too, are compared by the likelihood
+of all observations with the priors of `joints.cable_prior`. A larger model is only used where it is more likely than
+one offset by a margin; otherwise nothing is corrected. Each frame is corrected by what all other frames show of it.
 
 Frames are fitted with the corrections of the round before as a prior, and favour the model that these have. So the
 margin only holds in the last round; before, frames are fitted with the most likely model.
@@ -42,21 +42,12 @@ Part = Literal["coupling", "play", "wander"]
 Row = tuple[Number, ...]
 Table = tuple[Row, ...]
 
-_MODELS: Final[tuple[tuple[Part, ...], ...]] = (
-    (),
-    ("coupling",),
-    ("wander",),
-    ("coupling", "play"),
-    ("coupling", "play", "wander"),
-)
+_MODELS: Final[tuple[tuple[Part, ...], ...]] = ((), ("coupling",), ("coupling", "play", "wander"))
 _NOISES: Final = (2.0, 1.2, 0.7, 0.4, 0.2, 0.1)  # trial factors on the standard deviations from frame to frame,
 _WANDERS: Final = (0.5, 2.0)  # and, besides 1, on those of the wander
 _WIDENINGS: Final = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 10.0)  # trial factors on the variances of predictions
 MARGIN: Final = 4.0
 """Nats by which a larger model must be more likely than one offset a joint, for frames fitted with the larger one."""
-_ORDERED: Final = {"play", "wander"}
-"""Parts that need the order of the frames in time."""
-
 _ROLL_AXIS: Final = 5  # of a small change of the root's pose
 _ROLL: Final = 3  # index among the outer joints
 _ALIKE_SECONDS: Final = 1.0  # over which masks err alike, so that their frames count as one
@@ -181,7 +172,7 @@ def fit_cables(session: CableSession, prior: CablePrior, margin: float = MARGIN)
 
     The second one is the most likely of those that need nothing but the reading of a frame itself.
     """
-    fits = [_fit(session, prior, parts) for parts in _MODELS if session.play is not None or not _ORDERED & {*parts}]
+    fits = [_fit(session, prior, parts) for parts in _MODELS if session.play is not None or "play" not in parts]
     least = fits[0].gain
 
     def most_likely(among: list[CableFit]) -> CableFit:
@@ -189,7 +180,7 @@ def fit_cables(session: CableSession, prior: CablePrior, margin: float = MARGIN)
         best = best if best.gain > least + margin else among[0]
         return replace(best, gain=best.gain - least)
 
-    return most_likely(fits), most_likely([fit for fit in fits if not _ORDERED & {*fit.parts}])
+    return most_likely(fits), most_likely([fit for fit in fits if "play" not in fit.parts])
 
 
 def _widening(given: Observations, means: Float64, covariances: Float64) -> Float64:
