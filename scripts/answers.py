@@ -44,8 +44,6 @@ def main() -> int:
     except InputError as error:
         print(f"answers.py: {error}", file=sys.stderr)
         return 2
-    if arguments.json:
-        print(json.dumps({"cases": rows}, indent=1))
     return 0 if all(row["accepted"] for row in rows.values()) else 1
 
 
@@ -54,15 +52,13 @@ def _report(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     rows: dict[str, dict[str, Any]] = {}
     chosen = [case for case in CASES if arguments.only is None or case.name in arguments.only]
     with two_checkouts(arguments.checkout, arguments.against) as both:
-        if not arguments.json:
-            print("  ".join([f"{'case':<22s}", *(column.rjust(6) for column in _COLUMNS)]))
+        print("  ".join([f"{'case':<22s}", *(column.rjust(6) for column in _COLUMNS)]))
         for case in chosen:
             theirs = _kept(both[1], case, arguments.instrument, arguments.keep)
             row = compare(answers_of(both[0], case, arguments.instrument), theirs)
             row["accepted"] = accepted(row, arguments.largest_change)
             rows[case.name] = row
-            if not arguments.json:
-                _show(case.name, row)
+            _show(case.name, row)
     return rows
 
 
@@ -155,7 +151,6 @@ def _parser() -> argparse.ArgumentParser:
         metavar="N",
         help="accept poses that change by less than N standard deviations, if status, reasons and modes agree",
     )
-    parser.add_argument("--json", action="store_true", help="print JSON")
     return parser
 
 

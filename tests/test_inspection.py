@@ -127,14 +127,6 @@ def test_session_is_summarised_with_unusable_frames(tmp_path: Path) -> None:
     assert problems == {"0001": f"{folder}/joints.csv: frame 0001: jaw: expected a finite number in rad, got 'bad'"}
 
 
-def test_published_layout_needs_a_camera(tmp_path: Path) -> None:
-    write_image(tmp_path / "0" / "frame0026.png", np.dstack([MASK] * 3))
-    assert "no such file; expected a camera file (--camera FILE)" in message(tmp_path)
-    found = inspect_path(tmp_path, Options(camera=DEMO / "camera.yaml"))
-    assert found.read["frames"] == ["0026"]
-    assert "frames in the published layout, a folder each" in found.notes
-
-
 def test_real_files_are_recognised(shared: Path) -> None:
     formats = shared / "formats"
     kinds = {

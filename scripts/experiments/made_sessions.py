@@ -27,7 +27,6 @@ OURS: Final = "ours"
 PNP: Final = "PnP, SQPNP"
 PNP_RANSAC: Final = "PnP, RANSAC"
 PNP_TIPS: Final = "tips and shaft edges"
-RIGHT_MODE_DEG: Final = 30.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -19,14 +19,6 @@ from measuring.report import ROOT, Report
 
 _DONE: Final = (0, 3)  # exit codes
 _EVERY: Final = 5  # frame of the recording
-
-
-class Times(NamedTuple):
-    """Seconds by the clock and of processor time, and largest memory of a process, MB."""
-
-    wall: float
-    processor: float
-    megabytes: float
 
 
 def speed_report(options: argparse.Namespace) -> Report:
@@ -52,7 +44,7 @@ def speed_report(options: argparse.Namespace) -> Report:
     rows = []
     for name, (line, count) in lines.items():
         of_tool = [] if line[0] in ("--help", "inspect") else ["--instrument", options.instrument]
-        times: dict[str, list[Times]] = {checkout: [] for checkout in checkouts}
+        times: dict[str, list[tuple[float, float, float]]] = {checkout: [] for checkout in checkouts}
         for _ in range(count + 1):
             for checkout, folder in checkouts.items():
                 times[checkout].append(_timed(folder, line, of_tool))
@@ -67,8 +59,8 @@ def speed_report(options: argparse.Namespace) -> Report:
     return {"whole commands": rows}
 
 
-def _timed(checkout: Path, line: Sequence[str], options: Sequence[str]) -> Times:
-    """Run a command of a checkout; InputError if it fails."""
+def _timed(checkout: Path, line: Sequence[str], options: Sequence[str]) -> tuple[float, float, float]:
+    """Run a command of a checkout; return seconds by the clock and of its processor, and its largest memory, MB."""
     environment = {**os.environ, "PYTHONPATH": str(checkout), "OPENBLAS_NUM_THREADS": "1"}
     with tempfile.TemporaryDirectory() as place:
         arguments = [*line, *([f"{place}/out"] if line[-1] == "--out" else []), *options]
@@ -81,4 +73,4 @@ def _timed(checkout: Path, line: Sequence[str], options: Sequence[str]) -> Times
             said = err.read().strip()[-300:]
     if process.returncode not in _DONE:
         raise InputError(f"{checkout}: {' '.join(arguments)}: {said}")
-    return Times(wall, used.ru_utime + used.ru_stime, used.ru_maxrss / 1e3)
+    return wall, used.ru_utime + used.ru_stime, used.ru_maxrss / 1e3

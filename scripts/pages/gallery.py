@@ -70,16 +70,6 @@ EXHIBITS: Final = (
         (("overlays/0001.jpg", "The pose of one frame, drawn over its image"),),
     ),
     Exhibit(
-        "A frame without a mask",
-        "The mask is found in the image, by colour and shape.",
-        (
-            "estimate --image data/demo/images/0003.jpg --camera data/demo/camera.yaml --joints data/demo/joints.csv "
-            "--out image",
-        ),
-        "image",
-        (("overlays/0003.jpg", "The pose of a frame whose mask was found in the image"),),
-    ),
-    Exhibit(
         "A folder of frames",
         "In this frame tissue covers a jaw. The report has all frames, the most doubtful ones first.",
         ("batch data/demo --out results",),

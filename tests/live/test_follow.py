@@ -4,37 +4,13 @@ from __future__ import annotations
 
 import sys
 from io import StringIO
-from typing import Any
 
 import pytest
-import yaml
 from helpers.commands import run_command
 from helpers.fake_rclpy import Bus
-from helpers.made_recordings import BEGIN, SECOND
-from helpers.places import bundled_path
 
 from dvrk_cmaes.cli import live as cli_live
 from dvrk_cmaes.cli.terminal import note
-
-DEMO = bundled_path("demo")
-
-
-def header(k: int) -> dict[str, Any]:
-    seconds, rest = divmod(BEGIN + k * SECOND // 10, SECOND)
-    return {"stamp": {"sec": seconds, "nanosec": rest}, "frame_id": "left"}
-
-
-def camera_info() -> dict[str, Any]:
-    """Give the demo's camera as a message of ROS 2."""
-    document = yaml.safe_load((DEMO / "camera.yaml").read_text())
-    return {
-        "header": header(0),
-        "width": document["image_width"],
-        "height": document["image_height"],
-        "distortion_model": "plumb_bob",
-        "d": document["distortion_coefficients"]["data"],
-        "k": document["camera_matrix"]["data"],
-    }
 
 
 def test_state_is_renewed_in_one_line_of_a_terminal_below_other_lines(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -237,19 +237,3 @@ def test_connection_that_opens_before_its_events_are_awaited_is_used(
     assert second.open(60)
     assert live.lines[before:] == [f"rosbridge 127.0.0.1:{live.server.port}: connected"]
     second.close()
-
-
-def mask(time: int, number: int) -> dict[str, Any]:
-    """Give a mask as a segmenter publishes it, an Image of mono8."""
-    seen = np.where(pixels(number)[:, :, 1] > 127, 255, 0).astype(np.uint8)
-    data = base64.b64encode(seen.tobytes()).decode()
-    size = {"width": WIDTH, "height": HEIGHT, "step": WIDTH, "encoding": "mono8"}
-    return {"header": stamp(time), **size, "data": data}
-
-
-def test_readings_that_nobody_takes_do_not_pile_up() -> None:
-    inputs = Inputs(TOPICS, list[str]().append)
-    for k in range(3000):
-        inputs._on_joints(JOINTS, inputs.readings["PSM1"], joints(BEGIN + k))
-    taken = inputs.readings["PSM1"].take_all()
-    assert [taken[0].time, taken[-1].time, len(taken)] == [BEGIN + 2000, BEGIN + 2999, 1000]

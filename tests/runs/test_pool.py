@@ -128,13 +128,6 @@ def test_this_process_does_tasks_as_well() -> None:
     assert not multiprocessing.active_children()
 
 
-def test_this_process_alone_starts_no_other() -> None:
-    with Pool(prepare_nothing, 0, here=True) as processes:
-        processes.begin()
-        assert dict(run(processes, range(3), process_id)) == dict.fromkeys(range(3), os.getpid())
-        assert not multiprocessing.active_children()
-
-
 def test_processes_that_were_begun_and_not_used_end() -> None:
     with Pool(prepare_nothing, 2) as processes:
         processes.begin()

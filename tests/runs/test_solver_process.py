@@ -33,13 +33,6 @@ def test_process_in_the_background_starts_before_the_first_problem(*, background
     assert not started_since(before)
 
 
-def test_process_that_is_not_needed_ends_at_once() -> None:
-    before = {child.pid for child in psutil.Process().children(recursive=True)}
-    with SolverProcess(prepare("lnd"), background=True):
-        pass
-    assert not started_since(before)
-
-
 class FakeProcess:
     """Notes what it is called with, and answers at once, unless ``busy``; the own result of a keyframe is a text."""
 
