@@ -27,7 +27,6 @@ from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search.objective import Terms, pose_terms
 from dvrk_cmaes.results.result import Quality
 from dvrk_cmaes.silhouette import Body, Renderer
-from dvrk_cmaes.silhouette.ray_check import trace_near_outlines
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,3 +276,25 @@ def pooled_quality(qualities: Sequence[Quality]) -> Quality:
     terms = {name: float(np.mean([quality.terms[name] for quality in qualities])) for name in qualities[0].terms}
     distal = float(np.sqrt(np.mean([quality.distal_px**2 for quality in qualities])))
     return Quality(**{**asdict(qualities[0]), **means, **largest, "terms": terms, "distal_px": distal})
+
+
+def trace_near_outlines(
+    renderer: Renderer, camera_from_root: Float64, joints: Float64, masks: Bool
+) -> tuple[Bool, int]:
+    """Retrace the pixels on both sides of the outlines of C masks, (C, H, W).
+
+    Coverage from spans and from rays are computed independently of each other, from the same meshes. They can differ
+    only next to the outline. Returns the masks with the traced values and the number of rays.
+    """
+    result = masks.copy()
+    links = renderer.body.camera_from_links(camera_from_root, joints)
+    rays = 0
+    for i, mask in enumerate(masks):
+        band = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0
+        row, column = np.nonzero(band)
+        pixels = np.stack([column, row], axis=1).astype(np.float64)
+        directions = np.c_[renderer.camera.normalise(pixels), np.ones(len(pixels))]
+        one = np.zeros(len(pixels), dtype=np.intp)
+        result[i, row, column] = renderer.body.scenes.covered(links[i : i + 1], one, directions)
+        rays += len(pixels)
+    return result, rays
