@@ -10,7 +10,7 @@ from typing import Any
 
 from dvrk_cmaes.config import EstimateConfig, Limits
 from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.evidence.distance_field import FIELDS
+from dvrk_cmaes.evidence.outline_noise import FIELDS
 from dvrk_cmaes.io.arguments import check_type
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.pose.refine import DERIVATIVES

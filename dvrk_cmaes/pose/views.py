@@ -16,10 +16,9 @@ import numpy as np
 
 from dvrk_cmaes.camera import View
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.evidence.distance_field import distance_field
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence, shrunk, window_around
 from dvrk_cmaes.evidence.jaw_tips import largest_bend, shaft_width
-from dvrk_cmaes.evidence.outline_noise import OutlineNoise, distances_to, measure_noise
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise, distance_field, distances_to, measure_noise
 from dvrk_cmaes.evidence.quantiles import median, quantile, steady_stretches
 from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.geometry import Bool, Float64, Posed

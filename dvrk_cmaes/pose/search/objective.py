@@ -16,8 +16,8 @@ import numpy as np
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, LossWeights
-from dvrk_cmaes.evidence.distance_field import distance_field
 from dvrk_cmaes.evidence.gather import Evidence
+from dvrk_cmaes.evidence.outline_noise import distance_field
 from dvrk_cmaes.geometry import Float64, Posed, apply, project_cylinder
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings
