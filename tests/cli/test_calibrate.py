@@ -101,15 +101,6 @@ def refusal(command: Command, *arguments: Any) -> str:
     return ran.err.splitlines()[-1].removeprefix("dvrk-cmaes: ")
 
 
-def test_too_few_frames_are_refused(command: Command, bundled_body: Body, tmp_path: Path) -> None:
-    write_folder(tmp_path / "session", make_frames_in_memory(bundled_body, 2, level="clean")[2])
-    options = ("--results", tmp_path / "results", "--out", tmp_path / "out", *QUICKLY)
-    assert refusal(command, tmp_path / "session", *options) == (
-        "session: expected at least 3 usable frames, got 2 (no more were given)"
-    )
-    assert not (tmp_path / "out").exists()
-
-
 def test_wrong_arm_is_refused(command: Command, place: Path) -> None:
     options = ("--results", "results", "--out", "wrong", "--arm", "si", *QUICKLY)
     assert "51 mm longer: expected --arm" in refusal(command, "session", *options)

@@ -35,15 +35,6 @@ def folder(tmp_path: Path, bundled_body: Body) -> Path:
     return make_session_of_two_tools(tmp_path / "session", bundled_body)
 
 
-def test_one_arm_can_be_chosen(folder: Path, quick: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = folder.parent / "out"
-    arguments = ("batch", folder, "--out", out, "--config", quick, "--workers", 1)
-    run_command(capsys, *arguments, "--only", "PSM2", "--frames", "0000")
-    assert (out / "PSM2" / "frames" / "0000.json").is_file()
-    assert not (out / "PSM1").exists()
-    assert "arm: expected one of PSM2, PSM1, got 'PSM22'" in run_command(capsys, *arguments, "--only", "PSM22").refusal
-
-
 def test_command_for_one_tool_asks_which(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     refusal = run_command(capsys, "golden", "record", folder).refusal
     assert refusal.endswith("session.toml: tool: expected one, got PSM1, PSM2")

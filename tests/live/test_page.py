@@ -195,17 +195,6 @@ def test_launch_file_starts_commands_that_are_valid(monkeypatch: pytest.MonkeyPa
     assert nodes["robot_state_publisher"].remappings == [("joint_states", "/dvrk_cmaes/PSM2/measured_js")]
 
 
-@pytest.mark.usefixtures("tasks_here", "estimates_shared")
-def test_results_become_the_bag_that_is_shown_in_rviz(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    (tmp_path / "data").symlink_to(ROOT / "data")
-    monkeypatch.chdir(tmp_path)
-    (shown,) = (block for block in PAGE if "--to ros2-bag" in block.text)
-    for command in shown.commands:
-        assert run(command).code == 0
-    (played,) = re.findall(r"ros2 bag play -l (\S+)", shown.text)
-    assert (tmp_path / played / "metadata.yaml").is_file()
-
-
 def test_rviz_gets_the_links_by_their_names_in_tf_and_meshes_that_exist(monkeypatch: pytest.MonkeyPatch) -> None:
     commands, nodes = launched(monkeypatch, live="false")
     assert commands == []
