@@ -30,7 +30,6 @@ from dvrk_cmaes.io.encode import Document, rounded, rounded_array
 from dvrk_cmaes.io.typed_document import Number, Texts, refused
 from dvrk_cmaes.joints.cable_inference import (
     Assumed,
-    Filtered,
     Observations,
     leave_one_out,
     log_likelihood,
@@ -43,8 +42,7 @@ Row = tuple[Number, ...]
 Table = tuple[Row, ...]
 
 _MODELS: Final[tuple[tuple[Part, ...], ...]] = ((), ("coupling",), ("coupling", "play", "wander"))
-_NOISES: Final = (2.0, 1.2, 0.7, 0.4, 0.2, 0.1)  # trial factors on the standard deviations from frame to frame,
-_WANDERS: Final = (0.5, 2.0)  # and, besides 1, on those of the wander
+_NOISES: Final = (2.0, 1.2, 0.7, 0.4, 0.2, 0.1)  # trial factors on the standard deviations from frame to frame
 _WIDENINGS: Final = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 10.0)  # trial factors on the variances of predictions
 MARGIN: Final = 4.0
 """Nats by which a larger model must be more likely than one offset a joint, for frames fitted with the larger one."""
@@ -207,7 +205,7 @@ def _reference(session: CableSession) -> Float64:
 
 
 def _fit(session: CableSession, prior: CablePrior, parts: tuple[Part, ...]) -> CableFit:
-    """Fit one model with each of the trial noises and wanders; the most likely one, whose ``gain`` is its likelihood.
+    """Fit one model with each of the trial noises; the most likely one, whose ``gain`` is its likelihood.
 
     That is the logarithm of the likelihood of all observations.
     """
@@ -218,20 +216,9 @@ def _fit(session: CableSession, prior: CablePrior, parts: tuple[Part, ...]) -> C
     given = _observations(session, active)
     mean = np.concatenate([-session.offsets, prior.model.coefficients[active]])
     std = np.concatenate([session.offset_std, prior.spread[active]])
-
-    def tried(pairs: Sequence[tuple[float, float]]) -> list[tuple[Assumed, Filtered]]:
-        """Fit with noises and wanders in their usual sizes."""
-        assumed = [
-            Assumed(mean, std, wander * prior.model.wander, prior.model.seconds, noise * session.noise)
-            for noise, wander in pairs
-        ]
-        return list(zip(assumed, run_filters(given, assumed), strict=True))
-
-    usual = 1.0 if "wander" in parts else 0.0
-    trials = dict(zip(_NOISES, tried([(noise, usual) for noise in _NOISES]), strict=True))
-    best = max(_NOISES, key=lambda noise: trials[noise][1].log_likelihood)
-    others = tried([(best, wander) for wander in _WANDERS]) if "wander" in parts else []
-    assumed, found = max([trials[best], *others], key=lambda one: one[1].log_likelihood)
+    usual, seconds = 1.0 if "wander" in parts else 0.0, prior.model.seconds
+    trials = [Assumed(mean, std, usual * prior.model.wander, seconds, noise * session.noise) for noise in _NOISES]
+    assumed, found = max(zip(trials, run_filters(given, trials), strict=True), key=lambda one: one[1].log_likelihood)
     coefficients, deviations = np.zeros(active.shape), np.zeros(active.shape)
     coefficients[active], deviations[active] = found.mean[count:], np.sqrt(np.diag(found.covariance)[count:])
     correction, noise = Correction.none(len(session.readings), count - 1), assumed.noise
@@ -242,8 +229,7 @@ def _fit(session: CableSession, prior: CablePrior, parts: tuple[Part, ...]) -> C
         values = (means - found.mean[:count])[back]
         correction = Correction(values, widening * np.einsum("nii->ni", covariances)[back])
         noise = noise * np.sqrt(widening)
-    wander, offset = usual * assumed.wander, session.offsets + found.mean[:count]
-    fitted = coefficients, deviations, wander, noise, offset, correction
+    fitted = coefficients, deviations, assumed.wander, noise, session.offsets + found.mean[:count], correction
     return CableFit(session.names, parts, found.log_likelihood, _reference(session), *fitted)
 
 
