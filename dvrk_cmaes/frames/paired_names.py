@@ -38,7 +38,7 @@ def paired(names: Iterable[str], others: Iterable[str]) -> dict[str, str]:
     dict
         The other name by name; not of a name without one, or that several of either would pair with.
     """
-    own, rest = list(names), dict.fromkeys(others)
+    own, rest = list(names), others if isinstance(others, Mapping) else dict.fromkeys(others)
     if counted_apart(own, rest):
         return dict(zip(sorted(own, key=_counted), sorted(rest, key=_counted), strict=True))
     found = {name: name for name in own if name in rest}
@@ -61,7 +61,7 @@ def counted_apart(names: Collection[str], others: Collection[str]) -> bool:
 
 
 def with_names_of(
-    folder: Path, masks: Mapping[str, Path], images: Iterable[str], rows: Iterable[str]
+    folder: Path, masks: Mapping[str, Path], images: Iterable[str], rows: Collection[str]
 ) -> Mapping[str, Path]:
     """Return masks by the names of the images, or of the rows of readings, that they pair with, others by their own.
 
@@ -74,9 +74,8 @@ def with_names_of(
     images = list(images)
     met = paired(masks, images)
     if alone := [name for name in masks if name not in met]:
-        rows = list(rows)
         of_images = set(paired(images, rows).values())
-        met |= paired(alone, (row for row in rows if row not in of_images))
+        met |= paired(alone, [row for row in rows if row not in of_images] if of_images else rows)
         alone = [name for name in alone if name not in met]
     if 2 * len(alone) > len(masks) and len(images) > 1 and 2 * len(images) >= len(masks):
         raise InputError(

@@ -414,7 +414,8 @@ def _session_frames(
         source if isinstance(source, JointFile) else read_joint_file(source, known=known, read_as=read_as)
         for source in sources
     ]
-    rows = dict.fromkeys(name for file in files if file.labels == "frame" for name in file.names)
+    of_frames = [file.names for file in files if file.labels == "frame"]
+    rows = of_frames[0] if len(of_frames) == 1 else {name: 0 for names in of_frames for name in names}
     of_kinds, like = {"masks": of_views[0][0], "rows of readings": rows}, images or of_views[0][0]
     apart = [f"{kind} {listed(names, 1)}" for kind, names in of_kinds.items() if counted_apart(names, like)]
     for kinds in of_views:
@@ -546,7 +547,7 @@ def _meeting(
         if offset is not None:
             met.append(file.by_number(frames, offset, read_as.step))
             continue
-        labels = list(file.names)
+        labels = file.names
         if file.labels == "frame":
             rows = {row: name for name, row in paired(frames, labels).items() if row != name}
             if rows:
