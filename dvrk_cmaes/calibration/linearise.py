@@ -154,7 +154,7 @@ class Linearised:
 
     @property
     def plausible(self) -> bool:
-        """Whether the estimate is near enough for outlines that are linearised there to tell of the blocks."""
+        """Whether the estimate is near enough for outlines that are linearised there to show the blocks."""
         return all(one.is_plausible(self.value(one.name)) for one in self.asked)
 
     @property

@@ -283,7 +283,7 @@ def _columns(readings: Sequence[Mapping[str, float]], names: Sequence[str]) -> F
 class CommonErrors:
     """Errors that N frames share: those of frames near each other in time, and that of the lag.
 
-    A shadow beside the shaft stays for some tenths of a second, and frames near each other share more than that: what
+    A shadow along the shaft stays for some tenths of a second, and frames near each other share more than that: what
     no joint explains, the readings' errors at one place of the arm, the rest of a segmenter's mistakes. So the errors
     of frames within some time count as those of one, however many they are: else the frames of a recording would
     outweigh the prior, the more of them are used the more.

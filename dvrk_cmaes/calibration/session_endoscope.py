@@ -171,7 +171,7 @@ class SessionEndoscope(Document):
             axis = "xyz"[int(std[3:].argmax())]
             texts.append(
                 f"camera in the endoscope's tip: rotation about its {axis} axis known to "
-                f"{np.degrees(std[3:].max()):.0f} deg only; moves of the endoscope about different axes would tell it"
+                f"{np.degrees(std[3:].max()):.0f} deg only; moves about different axes would determine it"
             )
         found = [self.std_offsets.get(name, 0.0) for name in ECM_JOINTS]
         pairs = zip(ECM_JOINTS, found, OFFSET_STD.tolist(), strict=True)

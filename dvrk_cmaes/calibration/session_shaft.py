@@ -1,7 +1,7 @@
-"""What a session's frames tell of the sizes of the instrument: of the whole, its shaft, its wrist and its jaws.
+"""What a session's frames show of the sizes of the instrument: of the whole, its shaft, its wrist and its jaws.
 
-A larger instrument looks like a smaller one nearby. The arm tells the distance of the remote centre and of the wrist,
-so a session tells both apart, beside the focal length of a camera whose file is right.
+A larger instrument looks like a smaller one nearby. The arm's readings determine the distance of the remote centre and
+of the wrist, so a session distinguishes both, where the focal length of the camera's file is right.
 """
 
 from __future__ import annotations

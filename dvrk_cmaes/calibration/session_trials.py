@@ -31,7 +31,7 @@ from dvrk_cmaes.geometry import Float64, Posed
 _MOVED_SHARE = 0.1  # of the frames, that agree only if the session is cut where its base moved
 _AGREE: Final = 4.0  # standard deviations of each unknown, within which arms find the same endoscope
 _OTHER_TIP: Final = (
-    "the arms tell another camera in the endoscope's tip: each has its own; one arm's readings may be wrong"
+    "the arms show another camera in the endoscope's tip: each has its own; one arm's readings may be wrong"
 )
 _HAND_EYE: Final = 10  # unknowns that do not differ from place to place
 

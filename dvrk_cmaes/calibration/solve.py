@@ -67,7 +67,7 @@ class FrameFits:
     @classmethod
     def sharing(cls, at: Posed, outlines: Quadratic, common: CommonErrors, seen: Mapping[str, Float64]) -> FrameFits:
         """Return the outlines of N frames with the errors that these share; ``seen`` as above."""
-        counted = outlines.information.any(axis=(1, 2))  # those without an outline are no others beside a frame
+        counted = outlines.information.any(axis=(1, 2))  # those without an outline do not count as others near a frame
         shares = 1 / frames_alike(np.where(counted, common.times, np.nan), common.alike_seconds)
         return cls(at, outlines, seen, common.by_lag, shares)
 
