@@ -3,7 +3,7 @@
 These formats are read:
 
 - joints.csv of a session: columns ``frame`` (text: "0026" is not "26"), ``time`` in seconds, or both, and any joints.
-  A large one that has times and numbers alone is read by columns: an hour at 1 kHz is 3.6 million rows.
+  A large one of plain names, times and numbers is read by columns: an hour at 1 kHz is 3.6 million rows.
 - a topic written by jhu-dvrk's data_collection: comment lines ``# Topic:`` and ``# Type:``, then the columns
   ``timestamp`` (ns) and a message's fields, ``name.0 ...`` and ``position.0 ...``.
 - a table with a column of times (``time``, ``timestamp``, ``time_ms``) or no labels at all, and columns of joints,
