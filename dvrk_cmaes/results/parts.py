@@ -12,15 +12,17 @@ import numpy as np
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64, Image, Posed, in_parent
+from dvrk_cmaes.io.arguments import checked_array
 from dvrk_cmaes.io.encode import SIGNIFICANT, Document, rounded_array, rounded_values
 from dvrk_cmaes.io.typed_document import Number, Point, SquareOfThree, Transform
-from dvrk_cmaes.results.drawn_over import drawn_over
 
 POSE_AXES: Final = ("tx", "ty", "tz", "rx", "ry", "rz")
 """Names of the first six axes of a covariance; the joints follow."""
 
 Relation = Literal["mirror twin", "other mode"]
 
+_COLOURS = {"ok": (233, 180, 86), "doubtful": (60, 200, 240), "lost": (0, 94, 213)}  # BGR, of the silhouette's outline
+_TIPS = (255, 255, 255)
 _FARTHEST_MM = 100.0  # of an expected error of the tips: longer than a wrist with its jaws, by far
 
 
@@ -196,7 +198,29 @@ class PoseShown:
         InputError
             No such image, one of another aspect, or a pose without a renderer.
         """
-        return drawn_over(image, self.camera_from_root, self.joints, self.status, renderer or self.renderer)
+        import cv2  # here, since it takes a seventh of a second and most who read results draw nothing
+
+        given = checked_array("image", image, np.uint8, "an image (H, W, 3) of uint8, BGR, or a grey one (H, W)")
+        if given.ndim not in (2, 3) or given.shape[2:] not in ((), (3,)) or not given.size:
+            raise InputError(f"image: expected (H, W, 3) BGR or (H, W), got an array of shape {given.shape}")
+        drawn = np.array(given if given.ndim == 3 else np.repeat(given[..., None], 3, axis=2), np.uint8, order="C")
+        if self.camera_from_root is None:
+            return drawn
+        renderer = renderer or self.renderer
+        if renderer is None:
+            raise InputError("overlay: expected renderer=Renderer(body, camera) for a result that was read from a file")
+        (height, width), camera = drawn.shape[:2], renderer.camera
+        if abs(width * camera.height - height * camera.width) > max(camera.width, camera.height):  # more than a pixel
+            size = f"{camera.width} x {camera.height}, the camera's"
+            raise InputError(f"image: expected {size}, or another size of that aspect, got {width} x {height}")
+        mask = renderer.at(width, height).masks(self.camera_from_root, self.joints)
+        thick = max(round(width / 400), 1)
+        beyond = 4 * thick  # px, so that no line is drawn where the silhouette leaves the image
+        padded = cv2.copyMakeBorder(mask.astype(np.uint8), beyond, beyond, beyond, beyond, cv2.BORDER_REPLICATE)
+        lines, _ = cv2.findContours(padded, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE, offset=(-beyond, -beyond))
+        cv2.drawContours(drawn, lines, -1, (0, 0, 0), 3 * thick, cv2.LINE_AA)
+        cv2.drawContours(drawn, lines, -1, _COLOURS.get(self.status, _TIPS), thick, cv2.LINE_AA)
+        return drawn
 
     def _in_one_line(self, name: str, tips: str) -> str:
         """Return status, pose, joints and reasons in the units of reports, after a name and before what tips are."""
