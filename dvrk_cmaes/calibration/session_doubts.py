@@ -10,8 +10,6 @@ import numpy as np
 
 from dvrk_cmaes.calibration.blocks import CLEAR
 from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG
-from dvrk_cmaes.calibration.session_camera import IMPLAUSIBLE
-from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.camera.rig import known_mistakes
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.pose.doubts import DISAGREES, reasons
@@ -34,12 +32,6 @@ _TRUSTED_SHARE = 0.5  # of the frames that were solved together; if no more agre
 LARGEST_PREDICTED_PX: Final = 2.5
 """Median distance of the contours of frames from what the other frames of their session predict, at 640 px of width."""
 _LACKING_SHARE = 0.5  # of the frames, whose masks lack the end of a jaw; of 60 right frames of all kinds one does
-_LARGEST_MARGIN_PX = 2.0  # of all masks of a session
-_SHOW_THE_CAMERA = 40
-"""Number of frames of a right session by which an estimate of the camera does not run away.
-
-It did so in 2 of 159 sessions of more than 30 frames, both wrong, and in 4 of 100 of 10 to 30, some of them right.
-"""
 _LARGEST_INSERTION = 10e-3  # m, beyond which tools of one kind do not differ
 _BEYOND_CABLES_DEG = {"wrist": 20.0, "jaw": 30.0}  # by the beginning of the joint's name; roll is homed by hand
 _FAR_INSERTION = 3.0  # standard deviations of prior and estimate together
@@ -84,10 +76,9 @@ def doubts_of(
             few_frames_read(calibration),
         ),
         *(block.doubt for block in calibration.blocks.values() if block.doubt),
-        *([] if calibration.masks is None else masks_off(calibration.masks, pixel_scale)),
         *known_mistakes(calibration.remarks if by_file else ()),
         *(f"the camera file is contradicted: {text.partition(': ')[2]}" for text in contradictions),
-        *reasons(camera_untestable(calibration), insertion_off(calibration, settings)),
+        *reasons(insertion_off(calibration, settings)),
         *offsets_beyond_cables(calibration),
         *reasons(f"lag between images and readings: {without_lag}" if without_lag and not calibration.lag else None),
         *reasons(ends_missing(ends_lacking)),
@@ -135,32 +126,10 @@ def _left_out(calibration: SessionCalibration, start: str) -> int:
     return sum(reason.startswith(start) for reason in calibration.left_out.values())
 
 
-def masks_off(masks: SessionMasks, pixel_scale: float) -> list[str]:
-    """Judge the margin of a session's masks."""
-    margin, side = abs(masks.margin_px), "wide" if masks.margin_px > 0 else "narrow"
-    too_wide = margin > _LARGEST_MARGIN_PX * pixel_scale
-    return reasons(
-        f"masks are {margin:.1f} px (std {masks.std_margin_px:.1f}) too {side} all round: more than segmenters err; "
-        "another instrument, another focal length or masks that were widened have this effect"
-        if too_wide
-        else None,
-    )
-
-
 def ends_missing(missing: Sequence[bool]) -> str | None:
     """Judge in how many of the frames the mask lacks the end of a jaw."""
     if sum(missing) > _LACKING_SHARE * len(missing):
         return f"the ends of the jaws are missing from the masks in {sum(missing)} of {len(missing)} frames"
-    return None
-
-
-def camera_untestable(calibration: SessionCalibration) -> str | None:
-    """Judge the number of frames that fit no plausible camera."""
-    if IMPLAUSIBLE in calibration.undetermined and len(calibration.frames) >= _SHOW_THE_CAMERA:
-        return (
-            "the camera file cannot be tested: many frames, which fit none that is plausible; their masks are wrong "
-            "alike, the readings are, or the base moved"
-        )
     return None
 
 

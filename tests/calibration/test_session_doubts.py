@@ -13,13 +13,12 @@ from helpers.session_worlds import SMALL, make_frames_in_memory
 from dvrk_cmaes import Body, FrameData, SessionCalibration, SessionFrame, TrackResult, calibrate_session
 from dvrk_cmaes.calibration.document import Agreement
 from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG
-from dvrk_cmaes.calibration.session_camera import IMPLAUSIBLE, SessionCamera
+from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.calibration.session_doubts import (
     bad_predictions,
     doubts_of,
     resting_on,
 )
-from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.camera.rig import WRONG
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.doubts import DISAGREES
@@ -69,14 +68,6 @@ def test_few_frames_that_agree_are_a_doubt() -> None:
     left_out = {f"01{k:02d}": f"{DISAGREES}: 5.0 times the expected error" for k in range(4)}
     (text,) = doubts_of(session(left_out=left_out))
     assert text.startswith("only 3 of 7 frames agree on where the arm's base is")
-
-
-def test_camera_that_many_frames_cannot_test_is_a_doubt() -> None:
-    many = session(frames=tuple(f"{k:04d}" for k in range(40)), undetermined=(IMPLAUSIBLE,))
-    (text,) = doubts_of(many)
-    assert text.startswith("the camera file cannot be tested: many frames, which fit none that is plausible; ")
-    assert doubts_of(replace(many, frames=many.frames[:30])) == ()
-    assert doubts_of(replace(many, undetermined=("camera: not tested, as the settings say",))) == ()
 
 
 def test_contradicted_camera_is_a_doubt_unless_it_is_put_right() -> None:
@@ -130,12 +121,6 @@ def without_ends(truth: Truth, frame: SessionFrame) -> FrameData:
         rows, columns = np.indices(mask.shape)
         mask &= (columns - u) ** 2 + (rows - v) ** 2 > radius**2
     return FrameData.of(mask, data.camera, None)
-
-
-def test_masks_that_are_far_too_wide_are_a_doubt() -> None:
-    (text,) = doubts_of(session(masks=SessionMasks(2.74, 0.1, applied=True)))
-    assert text.startswith("masks are 2.7 px (std 0.1) too wide all round: more than segmenters err")
-    assert doubts_of(session(masks=SessionMasks(1.2, 0.1, applied=True))) == ()
 
 
 def test_known_mistake_of_the_camera_file_is_a_doubt_unless_another_camera_is_used() -> None:
