@@ -36,7 +36,6 @@ _REACH: Final = 0.15, 1.5  # widths beyond, from which on nothing is instrument
 _AROUND: Final = 0.15, 3.0  # widths around a mask, between which the colours of the surroundings are learned
 _LARGEST: Final = 4.0  # log-odds by the colours, which outweigh the silhouette: what lies before it is no instrument
 _UNSEEN: Final = 0.2  # share of the instrument whose colours the silhouette does not show
-_PASSES: Final = 2
 _KNOWN: Final = 0.8, 2.0  # weights of the log-odds by these colours, where the outline is moved to the edges, and
 _DEEP: Final = 2.0  # px within the first outline, beyond which the second weight holds: edges lose thin jaws
 _LARGEST_BY_PROMPT: Final = 0.3  # of the picture, that colours about a prompt may take
@@ -55,7 +54,7 @@ _BEYOND_BOX: Final = 0.5  # share of a silhouette that is outside a given box
 def _rough_mask(image: Image, shaft: Bool, whole: Bool, width: float, prompts: Prompts) -> tuple[Bool, Float32]:
     """Cut out the instrument (h, w) around a silhouette whose wrist and jaws may be off by much of the shaft's width.
 
-    Also returns the log-odds (h, w) by the colours in the mask and around it.
+    Also returns the log-odds (h, w) by the colours in the silhouette and around it.
     ``shaft`` and ``whole`` (h, w) are silhouettes of the shaft and of the whole instrument, neither empty nor full;
     ``width`` is that of the shaft, px.
     """
@@ -63,27 +62,23 @@ def _rough_mask(image: Image, shaft: Bool, whole: Bool, width: float, prompts: P
     free, reach = (np.where(at_shaft, *of).astype(np.float32) * np.float32(width) for of in (_FREE, _REACH))
     free[whole] = np.minimum(free[whole], _FREE_INSIDE * width)
     unsure = ~at_shaft & (signed_distance(whole) < _REACH[1] * width)  # may be wrist or jaws
-    table, mask = ColourTable(measure_colours(image)), whole
-    for _ in range(_PASSES):
-        away = distance_to(mask)
-        surroundings = (away > _AROUND[0] * width) & (away < _AROUND[1] * width) & ~unsure & ~prompts.outside
-        odds = np.clip(table.log_odds(mask, surroundings, unseen=_UNSEEN), -_LARGEST, _LARGEST).astype(np.float32)
-        found = mask_around(
-            image,
-            whole,
-            free,
-            reach=reach,
-            steepness=_STEEPNESS / width,
-            colours=odds,
-            local=False,
-            edges=False,
-            prompts=prompts,
-            passes=1,
-        )
-        if found is None:
-            break
-        mask = found.mask
-    return mask, odds
+    away = distance_to(whole)
+    surroundings = (away > _AROUND[0] * width) & (away < _AROUND[1] * width) & ~unsure & ~prompts.outside
+    odds = ColourTable(measure_colours(image)).log_odds(whole, surroundings, unseen=_UNSEEN)
+    odds = np.clip(odds, -_LARGEST, _LARGEST).astype(np.float32)
+    found = mask_around(
+        image,
+        whole,
+        free,
+        reach=reach,
+        steepness=_STEEPNESS / width,
+        colours=odds,
+        local=False,
+        edges=False,
+        prompts=prompts,
+        passes=1,
+    )
+    return whole if found is None else found.mask, odds
 
 
 def segment_by_model(
