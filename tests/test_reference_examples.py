@@ -34,6 +34,7 @@ PAGES = ROOT / "data" / "reference"
 README = {line for block in blocks((ROOT / "README.md").read_text(encoding="utf-8")) for line in block.commands}
 NOT_HERE = {
     "live": "a server",
+    "150": "a long recording that is played to live, as a shorter one in tests/live/test_page.py",
     "--weights": "weights",
     "...": "a command that is not whole",
     "recording": "another laboratory's recording",
@@ -49,7 +50,7 @@ WITH_OUTPUT |= {"settings", "testing"}
 """Pages whose first screen shows the output of its command, which runs here."""
 ELSEWHERE = {"tracking": "the tutorial", "uncalibrated": "tests/cli/test_calibrate.py"}
 """Pages whose first screen shows the output of a command that runs elsewhere."""
-OTHER_PROGRAMS = ("pip install ", "ros2 ", "rerun ", "hf download ", "make demo ", "python scripts/measure.py ")
+OTHER_PROGRAMS = ("pip install ", "ros2 ", "rerun ", "hf download ", "make demo ", "python scripts/")
 
 
 class Example(NamedTuple):
