@@ -1,9 +1,10 @@
 """Estimation of what cables do to a session's readings, from the outline fits of its frames.
 
 Given the base, each frame's fit is an uncertain observation of the errors of roll and of the instrument's joints.
-Models of these errors, one offset a joint, with coupling, and with play and wander too, are compared by the likelihood
-of all observations with the priors of `joints.cable_prior`. A larger model is only used where it is more likely than
-one offset by a margin; otherwise nothing is corrected. Each frame is corrected by what all other frames show of it.
+Models of these errors, one offset a joint, with coupling, with wander, and with all parts, are compared by the
+likelihood of all observations with the priors of `joints.cable_prior`. A larger model is only used where it is more
+likely than one offset by a margin; otherwise nothing is corrected. Each frame is corrected by what all other frames
+show of it.
 
 Frames are fitted with the corrections of the round before as a prior, and favour the model that these have. So the
 margin only holds in the last round; before, frames are fitted with the most likely model.
@@ -41,7 +42,7 @@ Part = Literal["coupling", "play", "wander"]
 Row = tuple[Number, ...]
 Table = tuple[Row, ...]
 
-_MODELS: Final[tuple[tuple[Part, ...], ...]] = ((), ("coupling",), ("coupling", "play", "wander"))
+_MODELS: Final[tuple[tuple[Part, ...], ...]] = ((), ("coupling",), ("wander",), ("coupling", "play", "wander"))
 _NOISES: Final = (2.0, 1.2, 0.7, 0.4, 0.2, 0.1)  # trial factors on the standard deviations from frame to frame
 _WIDENINGS: Final = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 10.0)  # trial factors on the variances of predictions
 MARGIN: Final = 4.0
@@ -170,7 +171,7 @@ def fit_cables(session: CableSession, prior: CablePrior, margin: float = MARGIN)
 
     The second one is the most likely of those that need nothing but the reading of a frame itself.
     """
-    fits = [_fit(session, prior, parts) for parts in _MODELS if session.play is not None or "play" not in parts]
+    fits = [_fit(session, prior, parts) for parts in _MODELS if session.play is not None or "wander" not in parts]
     least = fits[0].gain
 
     def most_likely(among: list[CableFit]) -> CableFit:
@@ -178,7 +179,7 @@ def fit_cables(session: CableSession, prior: CablePrior, margin: float = MARGIN)
         best = best if best.gain > least + margin else among[0]
         return replace(best, gain=best.gain - least)
 
-    return most_likely(fits), most_likely([fit for fit in fits if "play" not in fit.parts])
+    return most_likely(fits), most_likely([fit for fit in fits if "wander" not in fit.parts])
 
 
 def _widening(given: Observations, means: Float64, covariances: Float64) -> Float64:
