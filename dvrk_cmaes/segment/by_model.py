@@ -40,7 +40,6 @@ _TRIED: Final = 200  # points along an axis, that are compared with prompts
 _OF_AXIS: Final = 3  # best places along an axis, each way, that are turned and bent; others are two steps away or more
 _FIRST_BENDS: Final = np.deg2rad([(0, 0), (50, 0)])  # there, without readings
 _FIRST_ROLLS: Final = 4, 8  # there, without and with readings of the wrist
-_GROUPED: Final = 240  # best places of all axes
 _GROUPS: Final = 5  # of places, each an instrument
 _TURNED: Final = 288  # of a group: places, rolls and wrists that are tried
 _ROLLS: Final = 8, 16  # without, and with readings of the wrist
@@ -147,22 +146,17 @@ def find_instruments(
     def turns(counts: tuple[int, int], bends: Float64) -> Posed:
         return _turns(counts[not bent], read, jaw, instrument.joint_names, bends if bent else np.zeros((1, 2)))
 
-    def turned(at: Posed, by: Posed) -> tuple[Posed, Float64]:
-        found = _turned(at.pose, by)
-        return found, ranked.scores(found).total
-
-    best = _best_along(axes, scored)
-    scored[best] = turned(tried[best], turns(_FIRST_ROLLS, _FIRST_BENDS))[1].reshape(len(best), -1).max(axis=1)
-    tried, scored = tried[best], scored[best]
+    tried = tried[_best_along(axes, scored)]
+    bends = _turned(tried.pose, turns(_FIRST_ROLLS, _FIRST_BENDS))
+    scored = ranked.scores(bends).total.reshape(len(tried), -1).max(axis=1)
     renderer = Renderer(meshes[1], coarse, threads=1)
     every = turns(_ROLLS, _BENDS)
-    best = _ordered(scored)[:_GROUPED]
-    tried, scored = tried[best], scored[best]
     masks, apart = renderer.masks(tried.pose, tried.joints), _Apart(tried, coarse, 5.0)
     begin = []
     for group in _grouped(masks, scored, _GROUPS, _TURNED // len(every.pose), apart):
-        at, own = turned(tried[group], every)
-        varied, own = _best_of_each(appearance, [_varied(at[[k]]) for k in _starts(at, own, len(every), coarse)])
+        at = _turned(tried.pose[group], every)
+        starts = _starts(at, ranked.scores(at).total, len(every), coarse)
+        varied, own = _best_of_each(appearance, [_varied(at[[k]]) for k in starts])
         begin.append(varied[_ordered(own)[:_BEGUN]])
     if not begin:
         return []
