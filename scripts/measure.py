@@ -7,6 +7,7 @@
                                                      also draw, score
     python scripts/measure.py tips [SESSION]         tips of closed jaws on a board against the known ones; --images
     python scripts/measure.py pictures FRAMES        masks and poses found in images, of ../shared/frames
+    python scripts/measure.py ablation SESSION...    frames solved by variants of the search
     python scripts/measure.py speed                  whole commands, with --against DIR those of another checkout, too
     python scripts/measure.py live                   poses a second over a websocket, and their age from image to pose
     python scripts/measure.py write                  writes the marked tables of pages; --check only compares them
@@ -28,6 +29,7 @@ from pathlib import Path
 from typing import Final
 
 from measuring import live
+from measuring.ablation import ablation_report
 from measuring.accuracy import accuracy_report
 from measuring.benchmark import add_options, benchmark_report
 from measuring.falsified import FALSIFIED
@@ -88,6 +90,11 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--groups", nargs="+", default=[*GROUPS], choices=[*GROUPS], help="default: all")
     one.add_argument("--most", type=int, metavar="N", help="number of a group's, at most (default: all)")
     one.add_argument("--poses", action="store_true", help="masks and poses as by estimate")
+    one = command("ablation", ablation_report, "Solve frames of sessions with truth by variants of the search.")
+    one.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="session folders with golden.json")
+    one.add_argument("--frames", type=int, default=10, metavar="N", help="of each, the first (default: %(default)s)")
+    one.add_argument("--readings", action="store_true", help="with the readings (default: without any)")
+    one.add_argument("--keep", type=Path, metavar="DIR", help="folder for results, which are reused")
     one = command(
         "tips", tips_report, "Solve a session with known tips by calibrate, with its masks or by images alone."
     )

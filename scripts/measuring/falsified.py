@@ -151,11 +151,12 @@ def _half(mask: Bool, rng: Random) -> Bool:
     return np.asarray(mask & ((columns - u.mean()) * np.cos(turn) + (rows - v.mean()) * np.sin(turn) > 0))
 
 
-def _enlarged(mask: Bool, rng: Random) -> Bool:
-    """Crop a mask at a random place, and enlarge it to the image's size."""
-    (height, width), (across, down), part = mask.shape, rng.uniform(size=2), rng.uniform(0.65, 0.85)
+def _enlarged(mask: Bool, rng: Random, share: float | None = None) -> Bool:
+    """Crop a mask, at a random place or the upper left corner, and enlarge it to the image's size."""
+    (height, width), (across, down) = mask.shape, rng.uniform(size=2)
+    part = rng.uniform(0.65, 0.85) if share is None else share
     h, w = round(part * height), round(part * width)
-    top, left = int(down * (height - h)), int(across * (width - w))
+    top, left = (0, 0) if share else (int(down * (height - h)), int(across * (width - w)))
     cut = mask[top : top + h, left : left + w].astype(np.float32)
     return np.asarray(cv2.resize(cut, (width, height), interpolation=cv2.INTER_LINEAR) > 0.5)
 
@@ -356,9 +357,15 @@ FALSIFIED: Final[Mapping[str, Callable[[Copy, Random], bool | None]]] = {
     "half a mask": _masks(_half),
     "mirrored mask": _masks(lambda mask, _: np.ascontiguousarray(mask[:, ::-1])),
     "cropped and rescaled mask": _masks(_enlarged),
+    "corner cropped, resized back": _masks(lambda mask, rng: _enlarged(mask, rng, 0.75)),
+    "mask 3 px wide": _changed(cv2.MORPH_DILATE, 3),
     "readings 60 deg off": _readings_off,
     "wrist columns exchanged": _wrist("wrist_yaw", "wrist_pitch", 1.0),
     "focal length 15 % long": _camera(_scaled(1.15, 1.15)),
+    "focal length 10 % long": _camera(_scaled(1.1, 1.1)),
+    "focal length 10 % short": _camera(_scaled(1 / 1.1, 1 / 1.1)),
+    "fx and fy 15 % apart": _camera(_scaled(1.0, 1.15)),
+    "centre 50 px off": _camera(lambda camera: replace(camera, cx=camera.cx + 50)),
     "cx and cy exchanged": _camera(lambda camera: replace(camera, cx=camera.cy, cy=camera.cx)),
     "camera file of half the size": _camera(_half_size),
     "3 masks of another session": _foreign,
