@@ -64,6 +64,14 @@ class Scene:
             face[part], depth[part] = found["primID"], found["tfar"] + NEAREST
         return face, depth
 
+    def covers(self, rays: Float32) -> Bool:
+        """Return for rays (N, 3) with z = 1 whether each meets a triangle, (N,)."""
+        found = np.zeros(len(rays), np.bool_)
+        chosen = self._near(rays)
+        for part in np.array_split(chosen, max(1, -(-len(chosen) // _MOST_RAYS))):
+            found[part] = self._scene.run(np.ascontiguousarray(NEAREST * rays[part]), rays[part], query="OCCLUDED") == 0
+        return found
+
     def _near(self, rays: Float32) -> Faces:
         """Return the numbers of the rays in or near a link's convex hull, in the plane z = 1; others meet nothing."""
         if len(rays) < _MANY_RAYS:
@@ -141,8 +149,8 @@ def exact_coverage(camera: Camera, truth: Truth) -> Float32:
         inner = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
         within = np.stack(np.meshgrid(inner, inner), axis=-1).reshape(-1, 2)
         pixels = np.stack([columns, rows], axis=1)[:, None] + within
-        finer, _ = scene_of(truth).hits(rays_of(camera, pixels.reshape(-1, 2)))
-        coverage[rows, columns] = (finer >= 0).reshape(len(rows), -1).mean(axis=1)
+        finer = scene_of(truth).covers(rays_of(camera, pixels.reshape(-1, 2)))
+        coverage[rows, columns] = finer.reshape(len(rows), -1).mean(axis=1)
     return coverage
 
 
