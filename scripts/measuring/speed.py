@@ -61,10 +61,11 @@ def speed_report(options: argparse.Namespace) -> Report:
 
 def _timed(checkout: Path, line: Sequence[str], options: Sequence[str]) -> tuple[float, float, float]:
     """Run a command of a checkout; return seconds by the clock and of its processor, and its largest memory, MB."""
-    environment = {**os.environ, "PYTHONPATH": str(checkout), "OPENBLAS_NUM_THREADS": "1"}
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    python = sys.executable if checkout == ROOT else checkout / ".venv" / "bin" / "python"
     with tempfile.TemporaryDirectory() as place:
         arguments = [*line, *([f"{place}/out"] if line[-1] == "--out" else []), *options]
-        command, began = [sys.executable, "-m", "dvrk_cmaes", *arguments], time.perf_counter()
+        command, began = [python, "-m", "dvrk_cmaes", *arguments], time.perf_counter()
         with open(f"{place}/stderr.txt", "w+") as err:
             process = subprocess.Popen(command, env=environment, cwd=place, stdout=subprocess.DEVNULL, stderr=err)
             _, status, used = os.wait4(process.pid, 0)
