@@ -27,7 +27,7 @@ from dvrk_cmaes import (
     read_frame,
     read_session,
 )
-from dvrk_cmaes.camera.rig import WRONG
+from dvrk_cmaes.camera.fields import WRONG
 from dvrk_cmaes.config import CameraConfig
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.joints.prior import Readings

@@ -10,7 +10,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.blocks import CLEAR
 from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG
-from dvrk_cmaes.camera.rig import known_mistakes
+from dvrk_cmaes.camera.fields import known_mistakes
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.pose.doubts import DISAGREES, reasons
 from dvrk_cmaes.results.result import Result

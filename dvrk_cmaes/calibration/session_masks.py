@@ -24,8 +24,8 @@ from dvrk_cmaes.pose.terms.coverage import of_margin
 MARGIN: Final = "margin"
 """Name of the block."""
 
-_STD, _WIDE_SHARE = 1.0, 0.2  # px beforehand, of a share of the segmenters
-_USUAL_STD = 0.05  # px beforehand in images 640 px wide, of the others; recordings of `fleet.py make` show no more
+_STD, _WIDE_SHARE = 1.0, 0.2  # px, of the prior, and the share of segmenters with it
+_USUAL_STD = 0.05  # px, the same of the others, in images 640 px wide; recordings of `fleet.py make` show no more
 _FREE = 100.0  # px, of a prior that does not count
 _LEAST_STD = 0.12  # px; margins of parts of one real recording, 0.57 to 1.11, scatter by this beside their errors
 _PASSES = 5  # largest number of linearisations

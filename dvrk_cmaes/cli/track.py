@@ -250,8 +250,8 @@ def _session_of(path: Path, follow: TrackOptions, out: Path, camera: CameraOptio
     The video of a session counts where it has no images, and its masks are not all that is asked for. InputError if
     there is nothing at the path, it is neither, or it holds links that leave it.
     """
-    from dvrk_cmaes.frames.paired_names import check_own, check_own_folder
     from dvrk_cmaes.frames.video_frames import SUFFIXES, Video, own_video
+    from dvrk_cmaes.io.files import check_own, check_own_folder
     from dvrk_cmaes.recording.topics import is_bag
 
     if path.suffix.lower() in SUFFIXES and not path.is_dir():

@@ -1,6 +1,6 @@
-"""Pictures of a followed recording: its frames with the contours of mask and pose.
+"""Pictures of a followed recording, its frames with the contours of mask and pose; and what is projected in overlays.
 
-Projection of an instrument's shaft edges and skeleton to lines in an image, clipped in front of the camera.
+That are an instrument's shaft edges and skeleton as lines in an image, clipped in front of the camera.
 """
 
 from __future__ import annotations

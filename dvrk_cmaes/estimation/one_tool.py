@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dvrk_cmaes.camera import Camera, Rig
-from dvrk_cmaes.camera.rig import known_mistakes, remarks_on_cameras
+from dvrk_cmaes.camera.fields import known_mistakes
+from dvrk_cmaes.camera.rig import remarks_on_cameras
 from dvrk_cmaes.config import EstimateConfig, __version__
 from dvrk_cmaes.frames.seen_view import SeenView, left_out_views, seen_views, shown_views
 from dvrk_cmaes.geometry import Bool, inverse

@@ -1,11 +1,10 @@
-"""Detection of the two jaw tips in a mask, as the contour points farthest from the shaft.
+"""Ends of a mask: the jaw tips, as the contour points farthest from the shaft, and a cut along a straight line.
 
-Detection of masks that are cut off along a straight line, by a crop, a box or the edge of a tile.
-
-A cut leaves the whole mask on one side of a line, and part of its outline exactly on that line. This also holds for the
-edges of the shaft and of the jaws, but there the silhouette of the correct pose is straight as well. For a mask that
-lacks part of the instrument, the fitted silhouette ends near the cut with the jaws or the wrist, whose outline is not
-straight. The test is therefore how far the silhouette deviates from a straight line along the cut.
+A cut is that of a crop, a box or the edge of a tile. It leaves the whole mask on one side of a line, and part of its
+outline exactly on that line. This also holds for the edges of the shaft and of the jaws, but there the silhouette of
+the correct pose is straight as well. For a mask that lacks part of the instrument, the fitted silhouette ends near the
+cut with the jaws or the wrist, whose outline is not straight. The test is therefore how far the silhouette deviates
+from a straight line along the cut.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
-"""Standard deviation and correlation length of the errors of a mask's contour, from a fitted silhouette.
+"""Distances of a mask from its contour, and the contour's errors: their standard deviation and correlation length.
 
 The contour errors of a segmentation are correlated over many pixels, so a thousand contour points hold far fewer
 independent measurements. Both parameters are estimated from the residuals along the contour. They determine the weight
 of the outline relative to the readings, and the covariance of the pose.
-
-Distance transforms of masks: outside a mask by one of three methods, and inside a mask.
 """
 
 from __future__ import annotations

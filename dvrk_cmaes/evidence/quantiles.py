@@ -1,13 +1,12 @@
-"""Median and quantiles of numbers that are known to be finite, as NumPy computes them.
+"""Statistics of distances along a contour: median, quantiles, and stretches that are off together.
 
-NumPy's functions take several times as long for a few hundred numbers, and import numpy.ma, a twentieth of the
-processor time of a whole command.
+Median and quantiles are as NumPy computes them, of numbers that are known to be finite. NumPy's functions take several
+times as long for a few hundred numbers, and import numpy.ma, a twentieth of the processor time of a whole command.
 
-Stretches of a mask's contour that are off together: a shadow beside the shaft, a highlight that was cut out.
-
-Neighbouring points of a contour share their error, but the noise of a segmentation changes its sign every few
-correlation lengths. A stretch on which all points are off to the same side, by more than that noise, has another cause.
-It says nothing about the pose, so such stretches are left out of its information and do not count against the pose.
+Stretches that are off together are of a shadow beside the shaft, or a highlight that was cut out. Neighbouring points
+of a contour share their error, but the noise of a segmentation changes its sign every few correlation lengths. A
+stretch on which all points are off to the same side, by more than that noise, has another cause. It says nothing about
+the pose, so such stretches are left out of its information and do not count against the pose.
 """
 
 from __future__ import annotations

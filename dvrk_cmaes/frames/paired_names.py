@@ -1,11 +1,7 @@
-"""Names of the masks, images and rows of readings of one frame, as annotators and recorders call them.
-
-Files of a folder that may be from elsewhere: a link in it that leads out of the folder is refused.
-"""
+"""Names of the masks, images and rows of readings of one frame, as annotators and recorders call them."""
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping
 from pathlib import Path
@@ -117,32 +113,3 @@ def _unique(key: Callable[[str], Hashable], names: Iterable[str]) -> dict[Hashab
     for name in names:
         found.setdefault(key(name), []).append(name)
     return {each: of_key[0] for each, of_key in found.items() if each is not None and len(of_key) == 1}
-
-
-def check_own(given: Path, paths: Iterable[Path | None]) -> None:
-    """Check paths to read; those that are not written as within the folder were named by someone, and are fine.
-
-    The folder that is given may be a link itself, for it was named by the user.
-
-    Raises
-    ------
-    InputError
-        A path, or a folder of it, is a link that leaves the folder.
-    """
-    folder = Path(os.path.abspath(given))
-    real = os.path.realpath(given) if os.path.exists(given) else str(folder)
-    for path in (Path(os.path.abspath(path)) for path in paths if path is not None):
-        if folder in path.parents and not Path(target := os.path.realpath(path)).is_relative_to(real):
-            own = path
-            while not Path(os.path.realpath(own.parent)).is_relative_to(real):
-                own = own.parent
-            raise InputError(
-                f"{own}: expected a file in {folder}, got a link that leaves it, to {target}; copy what it leads "
-                "to into the folder"
-            )
-
-
-def check_own_folder(folder: Path) -> None:
-    """Check all that is in a folder, if it is one; errors as of `check_own`."""
-    for place, folders, files in os.walk(folder) if os.path.isdir(folder) else ():
-        check_own(folder, (Path(place, name) for name in (*folders, *files)))

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles
-from dvrk_cmaes.frames.paired_names import check_own
+from dvrk_cmaes.io.files import check_own
 from dvrk_cmaes.io.short_text import natural
 from dvrk_cmaes.joints.reading import frame_readings, read_joint_file
 

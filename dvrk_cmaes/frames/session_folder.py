@@ -32,13 +32,14 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.coco_mask import FILES, frames_of
 from dvrk_cmaes.frames.frame import FrameFiles, frame_size
 from dvrk_cmaes.frames.keypoints import Hints, read_boxes, read_keypoints
-from dvrk_cmaes.frames.paired_names import check_own, counted_apart, paired, with_masks_beside, with_names_of
+from dvrk_cmaes.frames.paired_names import counted_apart, paired, with_masks_beside, with_names_of
 from dvrk_cmaes.frames.picture_fit import fitted
 from dvrk_cmaes.frames.published_layout import find_published_frames, is_published_layout
 from dvrk_cmaes.frames.session_toml import CameraEntry, ToolEntry, read_session_toml
 from dvrk_cmaes.frames.truth import SessionTruth, read_golden
 from dvrk_cmaes.frames.video_frames import Video, VideoFrame
 from dvrk_cmaes.io.arguments import PATH, check_type
+from dvrk_cmaes.io.files import check_own
 from dvrk_cmaes.io.image_header import foreign
 from dvrk_cmaes.io.short_text import escaped, listed, natural, no_folder
 from dvrk_cmaes.joints.interpolation import NANOSECONDS

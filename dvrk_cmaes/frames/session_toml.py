@@ -33,8 +33,8 @@ from msgspec import Struct
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.frames.frame import Window
 from dvrk_cmaes.frames.label import Label, parse_label
-from dvrk_cmaes.frames.paired_names import check_own
 from dvrk_cmaes.frames.picture_fit import parse_crop
+from dvrk_cmaes.io.files import check_own
 from dvrk_cmaes.io.toml_file import read_toml
 from dvrk_cmaes.io.typed_document import convert_document
 from dvrk_cmaes.results.folder import check_frame_name

@@ -19,9 +19,9 @@ from typing import Any, Final
 import numpy as np
 
 from dvrk_cmaes.camera.document import is_camera, unwrapped
-from dvrk_cmaes.camera.fields import Side
+from dvrk_cmaes.camera.fields import WRONG, Side
 from dvrk_cmaes.camera.files import read_intrinsics
-from dvrk_cmaes.camera.rig import WRONG, Rig
+from dvrk_cmaes.camera.rig import Rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.coco_mask import frames_of
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame

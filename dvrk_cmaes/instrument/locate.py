@@ -1,8 +1,8 @@
-"""Resolution of mesh file names in a URDF: relative and absolute paths, ``file://`` and ``package://``.
+"""Where the meshes of a URDF are, and the disk cache of the instruments that were loaded from them.
 
-Disk cache of loaded instruments; reading and measuring their meshes takes longer than estimating a pose.
-
-Each instrument is one file of arrays and JSON values (.npz) in the folder of `io.bundled.cache_folder`. A
+Names of mesh files are relative and absolute paths, ``file://`` and ``package://``. Reading and measuring meshes takes
+longer than estimating a pose: each instrument is one file of arrays and JSON values (.npz) in the folder of
+`io.files.cache_folder`. A
 cached file is used only if the same version of the package wrote it and the URDF and mesh files still have the digests
 recorded in it, and would be found where they were.
 """

@@ -1,9 +1,7 @@
-"""Read and write CSV files that consist of a header and rows with as many cells.
+"""Read and write CSV files of a header and rows with as many cells, and tables as commands print and pages show them.
 
 Cells are separated by commas, or else by semicolons, tabs or blanks, as the first line has them. Between semicolons,
 numbers may have decimal commas.
-
-Tables of text, as commands print and pages show them.
 """
 
 from __future__ import annotations

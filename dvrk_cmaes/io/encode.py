@@ -1,7 +1,4 @@
-"""Values as documents: what JSON has, with numbers rounded, so that files are the same on every run.
-
-Round numbers before they are written to documents, so that files are the same on every run.
-"""
+"""Values as documents: what JSON has, with numbers rounded, so that files are the same on every run."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Read whole files; an InputError states in one line why a file cannot be read.
+"""Read whole files, refuse links that leave a folder, and find the bundled files and the folder of what is cached.
 
-Paths of the bundled instrument and demo session, and of the folder for what can be computed again.
+An InputError states in one line why a file cannot be read.
 
 The bundled files are in data/ in a checkout, in dvrk_cmaes/data in a wheel. What takes long to compute, instruments,
 prepared meshes and compiled templates, is in ``dvrk-cmaes`` in ``$XDG_CACHE_HOME`` or ``~/.cache``. The environment
@@ -13,7 +13,7 @@ import errno
 import hashlib
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -117,3 +117,32 @@ def cache_folder() -> Path | None:
         return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dvrk-cmaes"
     except RuntimeError:  # the user has no home folder
         return None
+
+
+def check_own(given: Path, paths: Iterable[Path | None]) -> None:
+    """Check paths to read; those that are not written as within the folder were named by someone, and are fine.
+
+    The folder that is given may be a link itself, for it was named by the user.
+
+    Raises
+    ------
+    InputError
+        A path, or a folder of it, is a link that leaves the folder.
+    """
+    folder = Path(os.path.abspath(given))
+    real = os.path.realpath(given) if os.path.exists(given) else str(folder)
+    for path in (Path(os.path.abspath(path)) for path in paths if path is not None):
+        if folder in path.parents and not Path(target := os.path.realpath(path)).is_relative_to(real):
+            own = path
+            while not Path(os.path.realpath(own.parent)).is_relative_to(real):
+                own = own.parent
+            raise InputError(
+                f"{own}: expected a file in {folder}, got a link that leaves it, to {target}; copy what it leads "
+                "to into the folder"
+            )
+
+
+def check_own_folder(folder: Path) -> None:
+    """Check all that is in a folder, if it is one; errors as of `check_own`."""
+    for place, folders, files in os.walk(folder) if os.path.isdir(folder) else ():
+        check_own(folder, (Path(place, name) for name in (*folders, *files)))

@@ -1,7 +1,4 @@
-"""Read JSON files.
-
-Write documents and images: each file is complete or as it was before.
-"""
+"""Read JSON files, and write documents and images: each file is complete or as it was before."""
 
 from __future__ import annotations
 

@@ -1,11 +1,10 @@
-"""What is expected of the cables of an arm: the fits to recordings of a real one, and how far others may differ.
+"""Errors of cable-driven joints as functions of their readings, and the prior of them for an arm's cables.
 
-The fits are in data/cables/measured.json, which ``scripts/cables.py --write`` makes. They are of roll, wrist_pitch and
-wrist_yaw; any other joint has the play of the wrist's joints, and a coupling of which only the size is known.
+The prior are the fits to recordings of a real arm, and how far others may differ. The fits are in
+data/cables/measured.json, which ``scripts/cables.py --write`` makes. They are of roll, wrist_pitch and wrist_yaw; any
+other joint has the play of the wrist's joints, and a coupling of which only the size is known.
 
-Errors of cable-driven joints as functions of their readings: offset, coupling, play and wander.
-
-For C joints with readings r, in the order of time,
+The errors are offset, coupling, play and wander. For C joints with readings r, in the order of time,
 
     true - reading = offset + coupling (r - reference) + play wide(r) + narrow * narrow(r) + wander + noise
 

@@ -1,8 +1,7 @@
 """Prior of the joint values in one frame: readings with their standard deviations, and joint limits.
 
-Joints whose readings never move while the arm does: values that were commanded, or not recorded, and not measured.
-
-Such a reading has less information on its joint than a measured one: its standard deviation is larger.
+A joint whose readings never move while the arm does was commanded, or not recorded, and not measured. Such a reading
+has less information on its joint than a measured one: its standard deviation is larger.
 """
 
 from __future__ import annotations

@@ -170,7 +170,8 @@ def _figures(recording: FollowedRecording, events: Sequence[TrackEvent]) -> Iter
     note = "followed in every frame"
     if gaps:
         longest = max(gaps, key=lambda event: event.frames)
-        note = f"longest: {longest.frames} frame{'s'[: longest.frames - 1]}, from {rows[longest.first]['frame']}"
+        many = "" if longest.frames == 1 else "s"
+        note = f"longest: {longest.frames} frame{many}, from {rows[longest.first]['frame']}"
     yield KeyFigure("Lost", {0: "never", 1: "once"}.get(len(gaps), f"{len(gaps)} times"), note)
     overlaps = recording.overlaps
     if np.isfinite(overlaps).any():

@@ -19,7 +19,7 @@ from dvrk_cmaes.calibration.session_doubts import (
     doubts_of,
     resting_on,
 )
-from dvrk_cmaes.camera.rig import WRONG
+from dvrk_cmaes.camera.fields import WRONG
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.doubts import DISAGREES
 from dvrk_cmaes.pose.judge import far_joints

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dvrk_cmaes import read_camera
-from dvrk_cmaes.camera.rig import known_mistakes, remarks_on
+from dvrk_cmaes.camera.fields import known_mistakes, remarks_on
 
 CAMERA = """image_width: 640
 image_height: 480

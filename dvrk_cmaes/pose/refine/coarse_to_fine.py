@@ -1,6 +1,7 @@
-"""Refinement of the modes that the global search found, at a small and at the full size, with their mirror twins.
+"""Refinement of the modes that the global search found, with their mirror twins, and the check of a rig at the best.
 
-How far each further view of a rig would turn, if the masks alone decided: a check of the rig's calibration.
+Modes are refined at a small and at the full size. The check is how far each further view of a rig would turn, if the
+masks alone decided.
 
 At the pose that fits all views together, the distances of one view's contour from the outline show where that view
 alone would have the instrument. A small rotation w of the view about the reference camera moves the instrument in

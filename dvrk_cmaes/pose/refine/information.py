@@ -6,9 +6,8 @@ rough contour the length is a constant: that of a single frame varies by a facto
 about the error of the pose, and shadows make it longer. What stretches of contour have in common is eliminated (see
 `shared_errors`).
 
-Which of several poses that are refined together are worth further iterations.
-
-Elimination of what each of several frames has for itself, so that only unknowns that all of them share remain.
+Of several poses that are refined together some are worth further iterations. What each of several frames has for itself
+is eliminated, so that only unknowns that all of them share remain.
 
 Let x (D) be a frame's own unknowns and c (E) the shared ones. The frame's terms are quadratic in both, with the blocks
 H, B and C of their information and the slopes s and t where x and c are zero. Beside them, x is expected to be near p

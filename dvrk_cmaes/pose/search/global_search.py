@@ -1,10 +1,9 @@
 """Global search in one frame: random candidates are scored at low resolution, the best distinct ones optimised.
 
-The optimisers of the global search by name: CMA-ES, and NLopt's methods without derivatives.
-
-CMA-ES runs from all starts side by side: the populations of a generation are evaluated together, which costs less than
-one after another, and only the best starts have another generation, so that most evaluations go to the likely modes.
-NLopt evaluates one candidate after another.
+The optimisers are, by name, CMA-ES, and NLopt's methods without derivatives. CMA-ES runs from all starts side by side:
+the populations of a generation are evaluated together, which costs less than one after another, and only the best
+starts have another generation, so that most evaluations go to the likely modes. NLopt evaluates one candidate after
+another.
 """
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
-"""The loss of candidate poses, given the evidence of a frame, at one image size.
-
-The terms of the paper's loss, batched over candidates.
+"""The loss of candidate poses, given the evidence of a frame, at one image size: the paper's terms, batched.
 
 The silhouette terms are functions of sums of S times fixed images, where the silhouette S is 0 or 1, hence S^2 = S. The
 renderer computes these sums without rendering an image. The objective divides the terms by the area of the mask, which

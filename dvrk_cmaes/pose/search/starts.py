@@ -1,6 +1,6 @@
-"""Random candidate poses of the global search: on the axes given by the shaft's edges, and in the LookAt space.
+"""Random candidate poses of the global search, and the selection of modes, distinct local optima of the pose.
 
-Selection of modes: distinct local optima of the pose.
+Candidates are on the axes given by the shaft's edges, and in the LookAt space.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The readings of the joints and their limits as a term.
 
-What is expected of a pose beforehand, for example by a session, as a term.
+The prior of a pose, for example by a session, as a term.
 """
 
 from __future__ import annotations
