@@ -17,8 +17,8 @@ from dvrk_cmaes.cli.options import (
     OUTPUT,
     Flag,
     LayoutOption,
-    ReadingOptions,
     check_range,
+    column_names,
     joint_files,
 )
 from dvrk_cmaes.cli.terminal import Line, answer, tracked, warn
@@ -253,14 +253,16 @@ def import_recording(
     selected.check()
     taken, said = _lag(selected.lag, selected.calibration)
     files.check()
-    from dvrk_cmaes.frames.paired_names import check_own_folder
     from dvrk_cmaes.frames.picture_fit import parse_crop
+    from dvrk_cmaes.io.files import check_own_folder
     from dvrk_cmaes.recording.pose_table import read_pose_table
     from dvrk_cmaes.recording.readers import open_recording
     from dvrk_cmaes.recording.recording import Asked
     from dvrk_cmaes.recording.write_session import write_session
 
     check_own_folder(recording)
+    if files.columns is not None and poses.pose_of is not None:
+        raise InputError("--columns: expected --joints of readings with it, got poses (--pose-of)")
     posed, arm = _poses(poses), files.arm[0] if len(files.arm) == 1 else None
     tables = () if posed or files.joints is None else joint_files([files.joints], arm) or ()
     asked = Asked(
@@ -269,7 +271,7 @@ def import_recording(
         arms=files.arm,
         camera=files.camera,
         joints=read_pose_table(files.joints, *posed) if posed and files.joints else next(iter(tables), None),
-        columns=ReadingOptions(columns=files.columns).read_as().columns,
+        columns=column_names(files.columns),
         posed=None if files.joints else posed,
         start=files.video_start,
         layout=files.layout,

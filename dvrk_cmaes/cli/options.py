@@ -145,8 +145,14 @@ class ReadingOptions:
 
         check_range("--frame-step", self.frame_step, 1, MOST_SKIPPED)
         offset = 0 if self.frame_offset is None and self.frame_step > 1 else self.frame_offset
-        named = columns if self.columns is None else tuple(name.strip() for name in self.columns.split(","))
-        return ReadAs(arm or None, named, offset, self.frame_step)
+        return ReadAs(
+            arm or None, columns if self.columns is None else column_names(self.columns), offset, self.frame_step
+        )
+
+
+def column_names(text: str | None) -> tuple[str, ...]:
+    """Return the names of columns that --columns gives; none without it."""
+    return () if text is None else tuple(name.strip() for name in text.split(","))
 
 
 def joint_files(given: Sequence[Path], arm: str | None = None) -> Sequence[Path | JointFile] | None:

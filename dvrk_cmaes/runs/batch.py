@@ -207,7 +207,7 @@ def _prepare(
         if kept:
             check_same_settings(folder, old, manifest)
             check_same_frames(folder, old, digests, done=kept)
-        manifest = with_frames(old if kept else {**manifest, "frames": old["frames"]}, digests)
+        manifest = with_frames({**manifest, "frames": old["frames"]}, digests)
     todo = [files for files in frames if files.name not in kept]
     own.refuse(results_of([files.name for files in todo], arm.session.rig.names))
     own.describe(manifest)

@@ -83,6 +83,8 @@ def test_readings_of_other_columns_are_imported_with_a_video(
     assert run(*video, *options).code == 0
     read = read_session(tmp_path / "out").frames[1].readings
     assert (read["yaw"], read["jaw"]) == pytest.approx((0.2, 0.5))
+    words = ("--columns", "time,x,y,z", "--pose-of", "tip", "--pose-base", "local", "--overwrite")
+    assert "--columns: expected --joints of readings" in run(*video, *words).refusal
 
 
 def test_masks_of_no_image_are_refused(video: list[object], tmp_path: Path) -> None:
