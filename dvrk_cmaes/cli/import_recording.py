@@ -279,19 +279,18 @@ def import_recording(
         episode=files.episode,
         **vars(topics),
     )
-    with open_recording(recording, asked) as opened:
-        shown = tracked(opened.images, "Importing", opened.total)
-        summary = write_session(
-            replace(opened, images=iter(shown)),
-            out,
-            every=selected.every,
-            start=selected.start,
-            end=selected.end,
-            tolerance=selected.tolerance,
-            lag=taken,
-            overwrite=overwrite,
-            masks=files.masks,
-        )
+    opened = open_recording(recording, asked)
+    summary = write_session(
+        replace(opened, images=iter(tracked(opened.images, "Importing", opened.total))),
+        out,
+        every=selected.every,
+        start=selected.start,
+        end=selected.end,
+        tolerance=selected.tolerance,
+        lag=taken,
+        overwrite=overwrite,
+        masks=files.masks,
+    )
     for source in summary.readings:
         if source.without:
             total, within = source.frames + source.without, selected.tolerance

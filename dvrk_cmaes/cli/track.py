@@ -272,8 +272,8 @@ def _imported(path: Path, folder: Path, camera: Path | None, joints: Path | None
     from dvrk_cmaes.recording.recording import Asked
     from dvrk_cmaes.recording.write_session import write_session
 
-    with open_bag(path, Asked(camera=camera, joints=joints)) as recording:
-        write_session(recording, folder, tolerance=_TOLERANCE, overwrite=folder.exists())
+    recording = open_bag(path, Asked(camera=camera, joints=joints))
+    write_session(recording, folder, tolerance=_TOLERANCE, overwrite=folder.exists())
     return folder
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
+from itertools import count
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -30,82 +31,145 @@ _SILENT = 0  # level of the log of OpenCV
 SUFFIXES: Final = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".ts", ".webm", ".wmv")
 EXPECTED: Final = "a video that OpenCV reads"
 _SAME_ASPECT = 0.02  # largest relative difference of two aspect ratios that count as one
-
-
-@contextmanager
-def open_capture(path: Path, *, expected: str = EXPECTED) -> Iterator[Any]:
-    """Open a video with OpenCV's FFmpeg backend, without log output; others take file names for patterns.
-
-    Raises
-    ------
-    InputError
-        Not a video, or one of too large pictures.
-    """
-    log = getattr(cv2.utils, "logging", cv2)  # from OpenCV 5 on in a module of its own
-    level = log.getLogLevel()
-    log.setLogLevel(_SILENT)
-    quiet_ffmpeg()
-    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-    try:
-        if not capture.isOpened():
-            raise InputError(f"{path}: expected {expected}, got something else or a damaged file")
-        width, height = (int(capture.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
-        if width * height > MOST_PIXELS:
-            raise InputError(f"{path}: expected at most {MOST_PIXELS // 10**6} megapixels, got {width} x {height}")
-        yield capture
-    finally:
-        capture.release()
-        log.setLogLevel(level)
+_SAME_RATE = 0.01  # largest relative difference of two rates that count as one
 
 
 class Video:
-    """A video: its size, the times of its frames, and its frames in any order, quickest in that of the video.
+    """A video: its size, its rate, the times of its frames, and its frames in any order, quickest in that of the video.
+
+    ``size`` is (width, height), px. ``stated`` is the number of frames that the file states, None if it states none.
 
     Raises
     ------
     InputError
-        The file is missing or no video, has no frames, or its times do not increase.
+        The file is missing or no video, or one of too large pictures.
     """
 
-    def __init__(self, path: Path) -> None:
-        check_file(path, expected=EXPECTED)
-        self.path = path
-        times = []
-        with open_capture(path) as capture:
-            width, height = (int(capture.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
-            self.size = width, height
-            while capture.grab():
-                times.append(round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6))
-        if not times:
-            raise InputError(f"{path}: expected {EXPECTED}, got one without frames")
-        late = next((k for k in range(1, len(times)) if times[k] <= times[k - 1]), None)
-        if late is not None:
-            after = times[late - 1] / NANOSECONDS
-            raise InputError(f"{path}: frame {late}: expected a later time than {after:g} s, got none")
-        self.times: tuple[int, ...] = tuple(times)
-        """Of the frames, ns after the beginning."""
-        self._capture: Any = None
-        self._next = 0
+    def __init__(self, path: Path, expected: str = EXPECTED) -> None:
+        check_file(path, expected=expected)
+        self.path, self._expected = path, expected
+        capture = self._opened()
+        width, height = (int(capture.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+        if width * height > MOST_PIXELS:
+            raise InputError(f"{path}: expected at most {MOST_PIXELS // 10**6} megapixels, got {width} x {height}")
+        self.size = width, height
+        self.stated = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT))) or None
+        self._rate = capture.get(cv2.CAP_PROP_FPS)
+        self._frames: Iterator[tuple[int, int, Callable[[], NDArray[np.uint8]]]] = iter(())
+        self._next: float = math.inf
+
+    def _opened(self) -> Any:
+        """Open the file with OpenCV's FFmpeg backend, without log output; others take file names for patterns."""
+        log = getattr(cv2.utils, "logging", cv2)  # from OpenCV 5 on in a module of its own
+        level = log.getLogLevel()
+        log.setLogLevel(_SILENT)
+        quiet_ffmpeg()
+        capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
+        log.setLogLevel(level)
+        if not capture.isOpened():
+            raise InputError(f"{self.path}: expected {self._expected}, got something else or a damaged file")
+        return capture
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Send the video to another process, which opens the file once for all frames that it is sent."""
-        return _sent_video, (self.path, self.size, self.times)
+        return _video_of, (self.path,)
+
+    @cached_property
+    def times(self) -> tuple[int, ...]:
+        """Times of the frames, ns after the beginning; InputError if there are none, or they do not increase."""
+        times = tuple(time for _, time, _ in self.frames())
+        if not times:
+            raise InputError(f"{self.path}: expected {EXPECTED}, got one without frames")
+        late = next((k for k in range(1, len(times)) if times[k] <= times[k - 1]), None)
+        if late is not None:
+            after = times[late - 1] / NANOSECONDS
+            raise InputError(f"{self.path}: frame {late}: expected a later time than {after:g} s, got none")
+        return times
+
+    def frames(self) -> Iterator[tuple[int, int, Callable[[], NDArray[np.uint8]]]]:
+        """Yield the number and the time, ns, of each frame, and what decodes it, (H, W, 3) uint8 BGR, before the next.
+
+        Decoding raises `InputError` if it is not possible.
+        """
+        capture = self._opened()
+
+        def decoded() -> NDArray[np.uint8]:
+            there, pixels = capture.retrieve()
+            if not there:
+                raise InputError(f"{self.path}: frame {number}: expected an image, got one that cannot be decoded")
+            return np.asarray(pixels, np.uint8)
+
+        for number in count():
+            if not capture.grab():
+                return
+            yield number, round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6), decoded
 
     def image(self, number: int) -> NDArray[np.uint8]:
         """Decode a frame, (H, W, 3) uint8 BGR; InputError if that is not possible."""
-        if self._capture is None or number < self._next:
-            self._capture, self._next = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG), 0
-        while self._next < number and self._capture.grab():
-            self._next += 1
-        decoded, pixels = self._capture.read()
-        self._next += 1
-        if not decoded:
-            raise InputError(f"{self.path}: frame {number}: expected an image, got one that cannot be decoded")
-        return np.asarray(pixels, np.uint8)
+        if number < self._next:
+            self._frames = self.frames()
+        self._next = number + 1
+        for at, _, decoded in self._frames:
+            if at == number:
+                return decoded()
+        raise InputError(f"{self.path}: frame {number}: expected an image, got one that cannot be decoded")
 
-    def window(self, camera: Camera | None, layout: Layout | None, side: Side) -> Window:
-        """Return the part of the picture that is one eye's; arguments and errors as of `eye_window`."""
-        return eye_window(self.path, self.size, camera, layout, side)
+    def check_rate(self, rate: float, why: str) -> None:
+        """Raise an InputError for a video that has another rate, images a second, than the one that is expected."""
+        if not abs(self._rate - rate) < _SAME_RATE * rate:
+            raise InputError(
+                f"{self.path}: expected {rate:g} images a second, {why}, got {self._rate:g}; convert it to {rate:g} "
+                "first"
+            )
+
+    def window(self, camera: Camera | None, layout: Layout | None, side: Side, crop: Window | None = None) -> Window:
+        """Return the part of the picture that is one eye's.
+
+        ``layout`` is found from the aspect of the camera's images if it is None; without a camera it is ``mono``. A
+        ``crop`` counts in its place.
+
+        Raises
+        ------
+        InputError
+            The picture's size fits the camera in no layout, or not in the one that is given.
+        """
+        width, height = self.size
+        second, half = side == "right", (width // 2, height // 2)
+        parts: dict[Layout, Window] = {
+            "mono": (0, 0, width, height),
+            "side-by-side": (second * (width - half[0]), 0, half[0], height),
+            "top-bottom": (0, second * (height - half[1]), width, half[1]),
+        }
+        if crop is not None:
+            if crop[0] + crop[2] > width or crop[1] + crop[3] > height:
+                raise InputError(
+                    f"{self.path}: --crop: expected a part of {width} x {height} px, got {','.join(map(str, crop))}"
+                )
+            layout, parts["mono"] = "mono", crop
+        fitting = [name for name, part in parts.items() if camera is None or _is_like(part, camera)]
+        layout = layout or next(iter(fitting), None)
+        if layout is None or layout not in fitting:
+            assert camera is not None
+            own = f"{camera.width} x {camera.height}"
+            if layout is not None:
+                raise InputError(
+                    f"{self.path}: --layout {layout}: expected pictures of the aspect of the calibration's {own}, got "
+                    f"{parts[layout][2]} x {parts[layout][3]}"
+                )
+            raise InputError(
+                f"{self.path}: expected the calibration's {own}, or two such pictures side by side or one above the "
+                f"other, got {width} x {height} (--layout: another arrangement; --crop: a part)"
+            )
+        return parts[layout]
+
+
+_video_of = lru_cache(maxsize=4)(Video)
+
+
+def _is_like(part: Window, camera: Camera) -> bool:
+    """Whether a part of a picture has the aspect of a camera's images."""
+    width, height = part[2] * camera.height, part[3] * camera.width
+    return abs(width - height) < _SAME_ASPECT * height
 
 
 def own_video(folder: Path) -> Path | None:
@@ -118,78 +182,6 @@ def eye_of(picture: NDArray[np.uint8], window: Window) -> NDArray[np.uint8]:
     """Return the part of a picture (H, W, ...) that is one eye's."""
     left, top, width, height = window
     return np.ascontiguousarray(picture[top : top + height, left : left + width])
-
-
-def eye_window(
-    path: Path,
-    size: tuple[int, int],
-    camera: Camera | None,
-    layout: Layout | None,
-    side: Side,
-    crop: Window | None = None,
-) -> Window:
-    """Return the part of a picture of a ``size`` (width, height), px, that is one eye's.
-
-    ``layout`` is found from the aspect of the camera's images if it is None; without a camera it is ``mono``. A
-    ``crop`` counts in its place.
-
-    Raises
-    ------
-    InputError
-        The picture's size fits the camera in no layout, or not in the one that is given.
-    """
-    width, height = size
-    if crop is not None:
-        if crop[0] + crop[2] > width or crop[1] + crop[3] > height:
-            raise InputError(
-                f"{path}: --crop: expected a part of {width} x {height} px, got {','.join(map(str, crop))}"
-            )
-        layout = "mono"
-    if layout is None:
-        layout = "mono" if camera is None else _layout(path, size, camera)
-    second = side == "right"
-    part = (0, 0, width, height) if crop is None else crop
-    if layout == "side-by-side":
-        part = second * (width - width // 2), 0, width // 2, height
-    elif layout == "top-bottom":
-        part = 0, second * (height - height // 2), width, height // 2
-    if camera is not None and not _is_like(part[2] / part[3], camera):
-        raise InputError(
-            f"{path}: --layout {layout}: expected pictures of the aspect of the calibration's {camera.width} x "
-            f"{camera.height}, got {part[2]} x {part[3]}"
-        )
-    return part
-
-
-def _is_like(aspect: float, camera: Camera) -> bool:
-    """Whether an aspect is that of a camera's images."""
-    return abs(aspect * camera.height / camera.width - 1) < _SAME_ASPECT
-
-
-def _layout(path: Path, size: tuple[int, int], camera: Camera) -> Layout:
-    """Find the layout in which a picture has the aspect of a camera's images."""
-    width, height = size
-    fitting: tuple[tuple[Layout, float], ...] = (
-        ("mono", width / height),
-        ("side-by-side", width / (2 * height)),
-        ("top-bottom", 2 * width / height),
-    )
-    for layout, own in fitting:
-        if _is_like(own, camera):
-            return layout
-    raise InputError(
-        f"{path}: expected the calibration's {camera.width} x {camera.height}, or two such pictures side by side or "
-        f"one above the other, got {width} x {height} (--layout: another arrangement; --crop: a part)"
-    )
-
-
-@lru_cache(maxsize=4)
-def _sent_video(path: Path, size: tuple[int, int], times: tuple[int, ...]) -> Video:
-    """Return the video of a file whose size and times were read in another process."""
-    video = Video.__new__(Video)
-    video.path, video.size, video.times = path, size, times
-    video._capture, video._next = None, 0
-    return video
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -44,9 +45,10 @@ _BLANK_STORAGE = re.compile(r"""^\s*storage_identifier:\s*(?:""|''|~|null)?\s*$"
 _LARGEST_MESSAGE, _LARGEST_IMAGE = 2**20, 400_000_000  # bytes
 
 
-@contextmanager
-def open_bag(path: Path, asked: Asked) -> Iterator[Recording]:
+def open_bag(path: Path, asked: Asked) -> Recording:
     """Open a ROS recording; readings and camera are read at once, images during iteration.
+
+    Topics and the source of times are chosen here; the recording's ``notes`` state the choices.
 
     Parameters
     ----------
@@ -61,13 +63,11 @@ def open_bag(path: Path, asked: Asked) -> Iterator[Recording]:
         rosbags is not installed, the recording is damaged, a topic is missing or ambiguous, or a message is not valid.
     """
     with _open(path) as reader:
-        with _errors_as_input_errors(path):
-            recording = _recording(reader, path, asked)
-        yield recording  # outside the inner context: errors of the caller are not damage of the recording
+        return _recording(reader, path, asked)
 
 
 def _recording(reader: AnyReader, path: Path, asked: Asked) -> Recording:
-    """Choose topics and time source, read camera and readings; the recording's ``notes`` state the choices."""
+    """Choose topics and time source, and read camera and readings of an open recording."""
     option = "--image-topic"
     if asked.both and asked.side == "right":  # the readings are read with the left eye
         option, topic = "--image-topic-right", asked.image_topic_right
@@ -117,7 +117,7 @@ def _recording(reader: AnyReader, path: Path, asked: Asked) -> Recording:
         notes += [f"{own.topic}: {note}" for own in read[arm] for note in own.notes]
         if of_arm and not any("jaw" in own.joints for own in of_arm):
             notes.append(f"{name}jaw: not read")
-    images = iter(()) if image is None else _images(reader, path, image, by_recording)
+    images = iter(()) if image is None else _images(path, image, by_recording)
     return Recording(
         path,
         images,
@@ -127,23 +127,22 @@ def _recording(reader: AnyReader, path: Path, asked: Asked) -> Recording:
         tuple(notes),
         kept={SETUP: setup_text(setup).encode()} if setup else {},
         rectified=asked.rectified,
-        has_images=has_images,
     )
 
 
 def read_bag_joints(path: Path, arm: str | None = None) -> JointFile:
     """Read the readings of an arm in a ROS recording as a file of readings with times; errors as `open_bag`."""
-    with open_bag(path, Asked(arms=() if arm is None else (arm,), image_topic=NONE)) as recording:
-        rows = {
-            f"message {k + 1} of {series.source}": (
-                f"{path}: {series.source}: message {k + 1}",
-                dict(zip(series.joints, row, strict=True)),
-                int(time),
-            )
-            for of_arm in recording.arms.values()
-            for series in of_arm
-            for k, (time, row) in enumerate(zip(series.times, series.values.tolist(), strict=True))
-        }
+    recording = open_bag(path, Asked(arms=() if arm is None else (arm,), image_topic=NONE))
+    rows = {
+        f"message {k + 1} of {series.source}": (
+            f"{path}: {series.source}: message {k + 1}",
+            dict(zip(series.joints, row, strict=True)),
+            int(time),
+        )
+        for of_arm in recording.arms.values()
+        for series in of_arm
+        for k, (time, row) in enumerate(zip(series.times, series.values.tolist(), strict=True))
+    }
     return JointFile.of(str(path), "ROS recording", rows, "message", recording.notes)
 
 
@@ -152,7 +151,7 @@ def list_topics(path: Path) -> tuple[float, dict[str, tuple[str, int, float]]]:
 
     Errors are as of `open_bag`.
     """
-    with _open(path) as reader, _errors_as_input_errors(path):
+    with _open(path) as reader:
         seconds = max(reader.end_time - reader.start_time, 0) / NANOSECONDS
         counts: Counter[tuple[str, str]] = Counter()
         for connection in reader.connections:
@@ -174,7 +173,7 @@ def _fault(stamps: Sequence[int]) -> str:
 
 @contextmanager
 def _open(path: Path) -> Iterator[AnyReader]:
-    """Open a recording with rosbags; InputError if it is not one or rosbags is not installed."""
+    """Open a recording with rosbags; every error of its parsers becomes an InputError."""
     if not path.is_dir():
         check_file(path, expected="a ROS recording")
     try:
@@ -186,14 +185,18 @@ def _open(path: Path) -> Iterator[AnyReader]:
             "run: pip install 'rosbags>=0.11,<0.12'"
         ) from None
     files = _files(path)
-    with _errors_as_input_errors(path):
-        # recordings of ROS 2 before Iron lack message definitions; those of sensor_msgs are unchanged since
-        reader = AnyReader(files, default_typestore=get_typestore(Stores.ROS2_HUMBLE))
-        reader.open()
     try:
-        yield reader
-    finally:
-        reader.close()
+        # recordings of ROS 2 before Iron lack message definitions; those of sensor_msgs are unchanged since
+        with AnyReader(files, default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            yield reader
+    except InputError:
+        raise
+    except Exception as error:  # of many types, e.g. AssertionError or MemoryError
+        reason = "it claims more than fits into memory" if isinstance(error, MemoryError) else one_line(error)
+        raise InputError(
+            f"{path}: expected a ROS recording, got one that cannot be read: {reason}; one that was cut off "
+            "is mended by rosbag reindex (.bag), mcap recover (.mcap), or ros2 bag reindex (a folder)"
+        ) from None
 
 
 def _files(path: Path) -> list[Path]:
@@ -213,21 +216,6 @@ def _files(path: Path) -> list[Path]:
         there = listed(sorted(os.listdir(path))) or "none"
         raise InputError(f"{path}: expected a ROS 2 recording with a .mcap or .db3 file, got {there}")
     return files
-
-
-@contextmanager
-def _errors_as_input_errors(path: Path) -> Iterator[None]:
-    """Convert every exception of the parsers, e.g. AssertionError or MemoryError, to InputError."""
-    try:
-        yield
-    except InputError:
-        raise
-    except Exception as error:
-        reason = "it claims more than fits into memory" if isinstance(error, MemoryError) else one_line(error)
-        raise InputError(
-            f"{path}: expected a ROS recording, got one that cannot be read: {reason}; one that was cut off "
-            "is mended by rosbag reindex (.bag), mcap recover (.mcap), or ros2 bag reindex (a folder)"
-        ) from None
 
 
 def _messages(reader: AnyReader, path: Path, topic: str) -> Iterator[tuple[int, Any]]:
@@ -294,13 +282,9 @@ class _Readings:
         return TimedReadings.of(self.topic, self.joints, self.recorded if recorded_times else self.stamps, self.values)
 
 
-def _images(reader: AnyReader, path: Path, topic: str, recorded_times: bool) -> Iterator[RecordedImage]:
+def _images(path: Path, topic: str, recorded_times: bool) -> Iterator[RecordedImage]:
     """Yield the images of a topic; an image is decoded and encoded only when it is loaded."""
-    with _errors_as_input_errors(path):
+    with _open(path) as reader:
         for number, (time, message) in enumerate(_messages(reader, path, topic)):
-            where = f"{path}: {topic}: image {number}"
-            yield RecordedImage(
-                number,
-                time if recorded_times else stamp(message),
-                lambda message=message, where=where: image_file(message, where),  # type: ignore[misc]
-            )
+            load = partial(image_file, message, f"{path}: {topic}: image {number}")
+            yield RecordedImage(number, time if recorded_times else stamp(message), load)

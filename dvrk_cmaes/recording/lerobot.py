@@ -7,8 +7,7 @@ not been tried with a real set of a dVRK.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
@@ -17,10 +16,9 @@ import numpy as np
 
 from dvrk_cmaes.camera.fields import Side
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.video_frames import EXPECTED, open_capture
+from dvrk_cmaes.frames.video_frames import Video
 from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.instrument.inverse_kinematics import POSED_JOINTS
-from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.parquet_file import read_columns
 from dvrk_cmaes.io.short_text import listed, shown
@@ -29,7 +27,7 @@ from dvrk_cmaes.joints.names import ARM_ORDER, joint_reading
 from dvrk_cmaes.recording.camera import read_camera_bytes
 from dvrk_cmaes.recording.pose_table import POSE, joints_of_poses, poses_of
 from dvrk_cmaes.recording.recording import Asked, Recording
-from dvrk_cmaes.recording.video import check_rate, frames_of
+from dvrk_cmaes.recording.video import images_of
 
 _STATE: Final = "observation.state"
 _ROWS: Final = ("episode_index", "frame_index", "timestamp")
@@ -44,8 +42,7 @@ def is_lerobot(path: Path) -> bool:
     return (path / "meta" / "info.json").is_file() and (path / "data").is_dir()
 
 
-@contextmanager
-def open_lerobot(path: Path, asked: Asked) -> Iterator[Recording]:
+def open_lerobot(path: Path, asked: Asked) -> Recording:
     """Open an episode of a data set; readings are read at once, images during iteration.
 
     Parameters
@@ -68,7 +65,7 @@ def open_lerobot(path: Path, asked: Asked) -> Iterator[Recording]:
     file = path / "meta" / "info.json"
     info = read_json_object(file, expected="a LeRobot data set's info.json")
     key = _video_key(file, info, asked.eye)
-    table, video, start = _place(path, file, info, key, episode)
+    table, film, start = _place(path, file, info, key, episode)
     columns = read_columns(table, _ROWS if asked.joints is not None else (*_ROWS, _STATE))
     own = [k for k, number in enumerate(columns["episode_index"]) if number == episode]
     seconds = {k: _number(table, "timestamp", columns["timestamp"][k], least=0.0) for k in own}
@@ -82,20 +79,18 @@ def open_lerobot(path: Path, asked: Asked) -> Iterator[Recording]:
         names, said = _fields(file, info, asked.arm)
         readings = _readings(table, names, times, [columns[_STATE][k] for k in rows], said[0], asked)
         said += [series.source for series in readings if series.joints == POSED_JOINTS and {*POSE} <= {*names}]
-    check_file(video, expected=EXPECTED)
-    with open_capture(video) as capture:
-        fps = _number(file, "fps", info.get("fps"))
-        check_rate(video, capture, fps, "as fps in info.json")
-        first = round(start * fps)
-        notes = (
-            f"episode {episode}: {table.relative_to(path)}, {video.relative_to(path)} from image {first}",
-            f"camera: {camera}",
-            *said,
-            "times: timestamp",
-        )
-        count, numbered = first + len(times), dict(enumerate(times, start=first))
-        images = frames_of(video, capture, numbered.get, count=count, expected=" by the readings", first=first)
-        yield Recording(path, images, len(times), read_camera_bytes(camera), {"": readings}, notes)
+    video, fps = Video(film), _number(file, "fps", info.get("fps"))
+    video.check_rate(fps, "as fps in info.json")
+    first = round(start * fps)
+    notes = (
+        f"episode {episode}: {table.relative_to(path)}, {film.relative_to(path)} from image {first}",
+        f"camera: {camera}",
+        *said,
+        "times: timestamp",
+    )
+    count, numbered = first + len(times), dict(enumerate(times, start=first))
+    images = images_of(video, lambda k, _: numbered.get(k), count=count, expected=" by the readings", first=first)
+    return Recording(path, images, len(times), read_camera_bytes(camera), {"": readings}, notes)
 
 
 def _video_key(file: Path, info: Mapping[str, Any], side: Side) -> str:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -15,7 +14,7 @@ from dvrk_cmaes.recording.recording import Asked, Recording
 from dvrk_cmaes.recording.surgpose import is_surgpose, open_surgpose
 from dvrk_cmaes.recording.surgsync import is_packed, is_surgsync, open_packed, open_surgsync
 from dvrk_cmaes.recording.topics import is_bag
-from dvrk_cmaes.recording.video import has_stereo_videos, open_stereo_videos, open_video
+from dvrk_cmaes.recording.video import SIDES, has_stereo_videos, open_stereo_videos, open_video
 
 
 class Reader(NamedTuple):
@@ -23,7 +22,7 @@ class Reader(NamedTuple):
 
     name: str
     knows: Callable[[Path], bool]
-    open: Callable[[Path, Asked], AbstractContextManager[Recording]]
+    open: Callable[[Path, Asked], Recording]
     takes: str
 
 
@@ -49,8 +48,7 @@ _OPTIONS: Final = {
 """How fields of `Asked` are asked for whose options have another name."""
 
 
-@contextmanager
-def open_recording(path: Path, asked: Asked) -> Iterator[Recording]:
+def open_recording(path: Path, asked: Asked) -> Recording:
     """Open a recording of any kind, or the recordings of both eyes, the right one as ``right`` of the left one.
 
     Raises
@@ -72,12 +70,9 @@ def open_recording(path: Path, asked: Asked) -> Iterator[Recording]:
     if len(asked.arms) > 1 and reader.open is not open_bag:
         raise InputError(f"{path}: --arm: expected one arm, but of a ROS recording, got {', '.join(asked.arms)}")
     if not asked.both:
-        with reader.open(path, asked) as recording:
-            yield recording
-        return
+        return reader.open(path, asked)
     if asked.camera is not None and reader.open is not open_video:
         raise InputError("--camera: expected none with --side both, whose cameras are those of the recording")
-    of_left, of_right = replace(asked, side="left"), replace(asked, side="right")
-    with reader.open(path, of_left) as left, reader.open(path, of_right) as right:
-        notes = tuple(f"right eye: {note}" for note in right.notes if note.startswith(("images:", "camera:")))
-        yield replace(left, right=right, notes=(*left.notes, *notes))
+    left, right = (reader.open(path, replace(asked, side=side)) for side in SIDES)
+    notes = tuple(f"right eye: {note}" for note in right.notes if note.startswith(("images:", "camera:")))
+    return replace(left, right=right, notes=(*left.notes, *notes))

@@ -99,7 +99,7 @@ class Asked:
             return self
         return replace(self, joints=read_joint_file(self.joints, read_as=ReadAs(columns=self.columns)))
 
-    def row_names(self, count: int) -> tuple[str, ...]:
+    def row_names(self, count: int | None) -> tuple[str, ...]:
         """Return the names of frames that the rows of the readings have, if these were read and are ``count``."""
         file = self.joints
         names = tuple(file.names) if isinstance(file, JointFile) and file.labels == "frame" else ()
@@ -136,7 +136,7 @@ class Recording:
     total
         Number of images stated by the recording; None if it is not stated.
     camera
-        Bytes of a camera file.
+        Bytes of a camera file; empty for a recording of readings alone.
     arms
         By the name of the arm, "" for one that is not named: a time series for each source, e.g. one topic of the arm
         and one of the jaw.
@@ -148,8 +148,6 @@ class Recording:
         The recording of the right eye, of which images and camera are used; None for one eye.
     rectified
         Whether the images are rectified.
-    has_images
-        Whether there are images; a recording of readings alone has no camera either.
     names
         Names of the images, in their order, where the table of readings has as many rows with names of frames.
     """
@@ -163,7 +161,6 @@ class Recording:
     kept: Mapping[str, bytes] = field(default_factory=dict)
     right: Recording | None = None
     rectified: bool = False
-    has_images: bool = True
     names: tuple[str, ...] = ()
 
     def name(self, number: int) -> str:

@@ -19,18 +19,15 @@ with most of its labels.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
 import numpy as np
 
 from dvrk_cmaes.camera.fields import Side, as_number
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.video_frames import EXPECTED, open_capture
+from dvrk_cmaes.frames.video_frames import Video
 from dvrk_cmaes.io.csv_file import csv_text
-from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.io.yaml_file import read_yaml_by_frame
@@ -39,7 +36,7 @@ from dvrk_cmaes.joints.names import joint_reading
 from dvrk_cmaes.recording.camera import read_camera_bytes, read_stereo_ini
 from dvrk_cmaes.recording.recording import Asked, Recording, frame_name, listed_readings, series_of_rows
 from dvrk_cmaes.recording.surgsync import chosen_arm
-from dvrk_cmaes.recording.video import check_rate, frames_of
+from dvrk_cmaes.recording.video import images_of
 
 Labels = dict[int, dict[str, tuple[float, float]]]
 """Pixels (u, v) by the label's number, as text, in each frame."""
@@ -120,8 +117,7 @@ def is_surgpose(path: Path) -> bool:
     return (path / _VIDEOS).is_dir() and (path / _READINGS).exists()
 
 
-@contextmanager
-def open_surgpose(path: Path, asked: Asked) -> Iterator[Recording]:
+def open_surgpose(path: Path, asked: Asked) -> Recording:
     """Open a folder; readings and labels are read at once, images during iteration.
 
     Parameters
@@ -150,24 +146,21 @@ def open_surgpose(path: Path, asked: Asked) -> Iterator[Recording]:
     else:
         lens, of_camera = read_camera_bytes(camera), ()
     kept, of_labels = _labels(path, side, chosen)
-    video = path / _VIDEOS / f"{side}_video.mp4"
-    check_file(video, expected=EXPECTED)
-    with open_capture(video) as capture:
-        check_rate(video, capture, _RATE, "which labels and readings count")
-        total = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        notes = [
-            f"images: {_VIDEOS}/{video.name}, taken for raw ones",
-            f"camera: {camera or _CALIBRATION}",
-            *(f"camera: {note}" for note in of_camera),
-            *(f"{' '.join(series.joints)}: {source}" for series in readings if source and series.joints != ("jaw",)),
-            *of_jaw,
-            f"times: frame N at N/{_RATE} s",
-            *of_labels,
-        ]
-        if asked.joints is None and total > 0 and total != len(rows):
-            notes.append(f"{_READINGS} has {len(rows)} frames, the video {total}")
-        images = frames_of(video, capture, _time)
-        yield Recording(path, images, total if total > 0 else None, lens, {"": readings}, tuple(notes), kept)
+    video = Video(path / _VIDEOS / f"{side}_video.mp4")
+    video.check_rate(_RATE, "which labels and readings count")
+    notes = [
+        f"images: {_VIDEOS}/{video.path.name}, taken for raw ones",
+        f"camera: {camera or _CALIBRATION}",
+        *(f"camera: {note}" for note in of_camera),
+        *(f"{' '.join(series.joints)}: {source}" for series in readings if source and series.joints != ("jaw",)),
+        *of_jaw,
+        f"times: frame N at N/{_RATE} s",
+        *of_labels,
+    ]
+    if asked.joints is None and video.stated not in (None, len(rows)):
+        notes.append(f"{_READINGS} has {len(rows)} frames, the video {video.stated}")
+    images = images_of(video, lambda number, _: _time(number))
+    return Recording(path, images, video.stated, lens, {"": readings}, tuple(notes), kept)
 
 
 def _by_frame(path: Path, document: Any) -> dict[int, Any]:

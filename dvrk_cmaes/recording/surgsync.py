@@ -28,8 +28,8 @@ it), so that a field is searched for by its name, at the outermost level first.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
@@ -39,7 +39,7 @@ import numpy as np
 from dvrk_cmaes.camera.files import Side, read_document
 from dvrk_cmaes.camera.stereo import has_pose, pose_of_storage
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.video_frames import EXPECTED, open_capture
+from dvrk_cmaes.frames.video_frames import EXPECTED, Video
 from dvrk_cmaes.io.files import check_file, read_bytes
 from dvrk_cmaes.io.json_file import read_json, read_json_object
 from dvrk_cmaes.io.parquet_file import field_names, read_columns
@@ -50,7 +50,7 @@ from dvrk_cmaes.joints.times import parse_time
 from dvrk_cmaes.recording.camera import read_camera_bytes, with_pose
 from dvrk_cmaes.recording.messages import stored_image
 from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording, listed_readings
-from dvrk_cmaes.recording.video import frames_of
+from dvrk_cmaes.recording.video import images_of
 
 _TIMES = "the times of a frame (time_syn, JSON)"
 _KINEMATICS = "the readings of an arm (kinematic, JSON)"
@@ -165,8 +165,7 @@ def is_packed(path: Path) -> bool:
     return (path / _STAMPS).is_file() or ((path / "meta" / "dataset.json").is_file() and any(path.glob("*/episodes")))
 
 
-@contextmanager
-def open_packed(path: Path, asked: Asked) -> Iterator[Recording]:
+def open_packed(path: Path, asked: Asked) -> Recording:
     """Open an episode; times and readings are read at once, images during iteration.
 
     Parameters and errors are those of `open_surgsync`; rectified images need a camera file.
@@ -183,11 +182,9 @@ def open_packed(path: Path, asked: Asked) -> Iterator[Recording]:
     if asked.joints is None:
         arms = [file.stem for file in path.glob("*.parquet") if file.stem.startswith(("PSM", "ECM"))]
         readings, said = _readings(path, chosen_arm(path, arms, asked.arm, "episode"), images, taken)
-    with open_capture(video) as capture:
-        recorded = frames_of(
-            video, capture, images.get, count=len(taken[_LEFT]), expected=f", one for each row of {_STAMPS}"
-        )
-        yield Recording(path, recorded, len(images), lens, {"": readings}, (*notes, *said))
+    expected = f", one for each row of {_STAMPS}"
+    recorded = images_of(Video(video), lambda k, _: images.get(k), count=len(taken[_LEFT]), expected=expected)
+    return Recording(path, recorded, len(images), lens, {"": readings}, (*notes, *said))
 
 
 def _video(path: Path, side: Side, camera: Path | None) -> tuple[Path, bool]:
@@ -278,8 +275,7 @@ def is_surgsync(path: Path) -> bool:
     return (path / "image").is_dir() and (path / "kinematic").is_dir()
 
 
-@contextmanager
-def open_surgsync(path: Path, asked: Asked) -> Iterator[Recording]:
+def open_surgsync(path: Path, asked: Asked) -> Recording:
     """Open a clip; times and readings are read at once, images during iteration.
 
     Parameters
@@ -312,11 +308,8 @@ def open_surgsync(path: Path, asked: Asked) -> Iterator[Recording]:
                 notes.append(f"{' '.join(ECM_JOINTS)}: kinematic/{ECM}")
             except InputError as error:
                 notes.append(f"the endoscope's arm is not read: {error}")
-    recorded = (
-        RecordedImage(number, times[number][0], lambda file=file: _load(file))  # type: ignore[misc]
-        for number, file in images.items()
-    )
-    yield Recording(path, recorded, len(images), camera_bytes, {"": readings}, tuple(notes))
+    recorded = (RecordedImage(number, times[number][0], partial(_load, file)) for number, file in images.items())
+    return Recording(path, recorded, len(images), camera_bytes, {"": readings}, tuple(notes))
 
 
 def camera_of_clip(folder: Path, asked: Asked) -> tuple[bytes, str]:

@@ -7,21 +7,19 @@ A folder with the videos of a stereo endoscope has one for each eye, named left 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from itertools import count as numbers
 from itertools import islice
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from dvrk_cmaes.camera.files import Side, read_camera_file
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.session_folder import UNCALIBRATED
-from dvrk_cmaes.frames.video_frames import SUFFIXES, Window, eye_of, eye_window, open_capture
+from dvrk_cmaes.frames.video_frames import SUFFIXES, Video, Window, eye_of
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
@@ -30,12 +28,10 @@ from dvrk_cmaes.recording.messages import encode_png
 from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording
 
 _EXPECTED = "a video that OpenCV reads, or a ROS recording (.bag, .mcap, .db3 or a folder)"
-_RATE_TOLERANCE = 0.01
-_SIDES: Final[tuple[Side, ...]] = ("left", "right")
+SIDES: Final[tuple[Side, ...]] = ("left", "right")
 
 
-@contextmanager
-def open_video(path: Path, asked: Asked) -> Iterator[Recording]:
+def open_video(path: Path, asked: Asked) -> Recording:
     """Open a video; images are decoded during iteration.
 
     Parameters
@@ -59,40 +55,28 @@ def open_video(path: Path, asked: Asked) -> Iterator[Recording]:
         raise InputError(f"{path}: {', '.join(missing)}: {needed}; got none{advice}")
     lens, asked = read_camera_bytes(camera), asked.read()
     readings, said = asked.given_readings()
-    with open_capture(path, expected=_EXPECTED) as capture:
-        total = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        size = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
-        lens_of_eye = read_camera_file(camera, side=asked.eye, size=size).camera
-        window = eye_window(path, size, lens_of_eye, asked.layout, asked.eye, asked.crop)
-        notes = [
-            f"camera: {camera}",
-            *said,
-            f"times: the video's, its first frame at {asked.start:g} s of the readings' clock",
-        ]
-        if window != (0, 0, *size):
-            notes.append(f"images: {window[2]} x {window[3]} px at {window[0]}, {window[1]} of the video")
-        start = round(asked.start * NANOSECONDS)
-        recorded = frames_of(
-            path, capture, lambda _: start + round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6), window=window
-        )
-        yield Recording(
-            path,
-            recorded,
-            total if total > 0 else None,
-            lens,
-            {"": readings},
-            tuple(notes),
-            names=asked.row_names(total),
-        )
+    video = Video(path, _EXPECTED)
+    seen_by = read_camera_file(camera, side=asked.eye, size=video.size).camera
+    window = video.window(seen_by, asked.layout, asked.eye, asked.crop)
+    notes = [
+        f"camera: {camera}",
+        *said,
+        f"times: the video's, its first frame at {asked.start:g} s of the readings' clock",
+    ]
+    if window != (0, 0, *video.size):
+        notes.append(f"images: {window[2]} x {window[3]} px at {window[0]}, {window[1]} of the video")
+    start = round(asked.start * NANOSECONDS)
+    images = images_of(video, lambda _, time: start + time, window=window)
+    names = asked.row_names(video.stated)
+    return Recording(path, images, video.stated, lens, {"": readings}, tuple(notes), names=names)
 
 
 def has_stereo_videos(path: Path) -> bool:
     """Whether a folder has a video of each eye."""
-    return path.is_dir() and all(_videos(path, side) for side in _SIDES)
+    return path.is_dir() and all(_videos(path, side) for side in SIDES)
 
 
-@contextmanager
-def open_stereo_videos(path: Path, asked: Asked) -> Iterator[Recording]:
+def open_stereo_videos(path: Path, asked: Asked) -> Recording:
     """Open the video of one eye; camera and joints as in ``open_video``, by default the folder's.
 
     Raises
@@ -106,9 +90,8 @@ def open_stereo_videos(path: Path, asked: Asked) -> Iterator[Recording]:
         raise InputError(f"{path}: expected one video of the {side} eye, got {there}")
     usual = [[path / name for name in names] for names in ((f"{side}.yaml", "camera.yaml"), ("joints.csv",))]
     camera, joints = (next((file for file in files if file.exists()), None) for files in usual)
-    asked = replace(asked, camera=asked.camera or camera, joints=asked.joints or joints)
-    with open_video(videos[0], asked) as recording:
-        yield replace(recording, path=path, notes=(f"images: {videos[0].name}", *recording.notes))
+    recording = open_video(videos[0], replace(asked, camera=asked.camera or camera, joints=asked.joints or joints))
+    return replace(recording, path=path, notes=(f"images: {videos[0].name}", *recording.notes))
 
 
 def _videos(path: Path, side: Side) -> list[Path]:
@@ -120,47 +103,30 @@ def _videos(path: Path, side: Side) -> list[Path]:
     ]
 
 
-def frames_of(
-    path: Path,
-    capture: Any,
-    time_of: Callable[[int], int | None],
+def images_of(
+    video: Video,
+    time_of: Callable[[int, int], int | None],
     *,
     count: int | None = None,
     expected: str = "",
     first: int = 0,
     window: Window | None = None,
 ) -> Iterator[RecordedImage]:
-    """Yield the frames of a video whose numbers have times, ns, as images that are counted from ``first``.
+    """Yield the frames of a video as images that are counted from ``first``.
 
+    ``time_of`` returns the time of a frame, ns, given its number and its time in the video; None for one to leave out.
     Of a video with at least ``count`` frames, InputError says that these are ``expected`` if it ends before. ``window``
     is the part of the pictures that is one eye's.
     """
-    for number in islice(numbers(), count):
-        if not capture.grab():
-            if count is None:
-                return
-            raise InputError(f"{path}: expected {count} images{expected}, got {number}")
-        time = time_of(number)
-        if time is not None:
-            yield RecordedImage(number - first, time, partial(decoded_frame, path, capture, number, window))
+    part, frames = window or (0, 0, *video.size), 0
+    for number, own, decoded in islice(video.frames(), count):
+        frames = number + 1
+        if (time := time_of(number, own)) is not None:
+            yield RecordedImage(number - first, time, partial(_png_of, decoded, part))
+    if count is not None and frames < count:
+        raise InputError(f"{video.path}: expected {count} images{expected}, got {frames}")
 
 
-def check_rate(path: Path, capture: Any, rate: float, why: str) -> None:
-    """Raise an InputError for a video that has another rate, images a second, than the one that is expected."""
-    found = capture.get(cv2.CAP_PROP_FPS)
-    if not abs(found - rate) < _RATE_TOLERANCE * rate:
-        raise InputError(
-            f"{path}: expected {rate:g} images a second, {why}, got {found:g}; convert it to {rate:g} first"
-        )
-
-
-def decoded_frame(path: Path, capture: Any, number: int, window: Window | None = None) -> bytes:
-    """Decode the frame last grabbed from a capture, or its part that is one eye's, and encode it as PNG.
-
-    InputError if it cannot be decoded.
-    """
-    decoded, pixels = capture.retrieve()
-    if not decoded:
-        raise InputError(f"{path}: frame {number}: expected an image, got one that cannot be decoded")
-    picture = np.asarray(pixels, np.uint8)
-    return encode_png(picture if window is None else eye_of(picture, window))
+def _png_of(decoded: Callable[[], NDArray[np.uint8]], part: Window) -> bytes:
+    """Decode a frame, and encode a part of it as PNG."""
+    return encode_png(eye_of(decoded(), part))

@@ -25,7 +25,7 @@ from dvrk_cmaes.frames.images import THRESHOLD, match_size
 from dvrk_cmaes.frames.paired_names import with_names_of
 from dvrk_cmaes.frames.session_folder import image_files, read_session
 from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, session_toml
-from dvrk_cmaes.frames.video_frames import open_capture
+from dvrk_cmaes.frames.video_frames import Video
 from dvrk_cmaes.io.csv_file import csv_text
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.image_header import PNG, read_header
@@ -123,13 +123,13 @@ def write_session(
     summaries: list[InterpolationSummary] = []
     warnings: tuple[str, ...] = ()
     names, times, size, apart = list[str](), list[int](), (0, 0), list[int]()
-    numbers, lag, said = count(), lag if recording.has_images else None, list[str]()
-    if masks is not None and (recording.right is not None or not recording.has_images):
+    numbers, lag, said = count(), lag if recording.camera else None, list[str]()
+    if masks is not None and (recording.right is not None or not recording.camera):
         raise InputError(f"{masks}: --masks: expected a recording with images of one eye")
     with whole_folder(out, "import", overwrite=overwrite, source=recording.path) as folder:
         for name, data in recording.kept.items():
             write_bytes(folder / name, data)
-        if recording.has_images:
+        if recording.camera:
             images = (image for image, _ in zip(recording.images, numbers, strict=False))
             of, times, size, apart = _write_images(folder / "images", recording, _selected(images, every, start, end))
             names = [recording.name(number) for number in of]
@@ -352,13 +352,11 @@ def write_masks(given: Path, folder: Path, names: Sequence[str], numbers: Sequen
         write_bytes(folder / FILES[0], given.read_bytes())
     else:
         wanted, there = dict(zip(numbers, names, strict=True)), list[str]()
-        with open_capture(given, expected=_EXPECTED) as capture:
-            while capture.grab():
-                if len(there) in wanted:
-                    grey = np.asarray(capture.retrieve()[1]).max(axis=2)
-                    mask = encode_png(np.where(grey > THRESHOLD, np.uint8(255), np.uint8(0)))
-                    write_bytes(folder / "masks" / f"{wanted[len(there)]}.png", mask)
-                there.append(f"{len(there)}")
+        for number, _, decoded in Video(given, _EXPECTED).frames():
+            if number in wanted:
+                mask = encode_png(np.where(decoded().max(axis=2) > THRESHOLD, np.uint8(255), np.uint8(0)))
+                write_bytes(folder / "masks" / f"{wanted[number]}.png", mask)
+            there.append(f"{number}")
         found = sum(number < len(there) for number in wanted)
     if not found:
         of_frames = listed(sorted(names, key=natural), 2)
