@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -19,8 +20,6 @@ from dvrk_cmaes.geometry import Bool, Float64, Indices
 Times = NDArray[np.int64] | Float64
 Known = Bool
 Gaps = Callable[[Times, Times, Times], Known]
-
-_SPACINGS = 3.0  # in which the usual longest gap is measured
 
 
 def known_where(*, away: float = np.inf, apart: float = np.inf, beyond: float = 0.0, at_readings: bool = True) -> Gaps:
@@ -39,24 +38,6 @@ def known_where(*, away: float = np.inf, apart: float = np.inf, beyond: float = 
         return np.asarray(inside | at_one | ((outside > 0) & (outside <= beyond)))
 
     return known
-
-
-def largest_distance(stamps: Times, tolerance: int) -> int:
-    """Return the tolerance, or one and a half times the median spacing of ``stamps`` (N,) where that is more.
-
-    Readings that a robot sends five times a second are thus interpolated as those of a faster one are. Fewer than four
-    readings have no usual spacing.
-    """
-    return tolerance if len(stamps) < 4 else max(tolerance, round(1.5 * float(np.median(np.diff(stamps)))))
-
-
-def usual_spacing(stamps: Times, least: float) -> Gaps:
-    """Return the rule of gaps of three times the median spacing of ``stamps`` (N,), and not below ``least``.
-
-    Between fewer than three readings there is no gap.
-    """
-    usual = np.inf if len(stamps) < 3 else max(_SPACINGS * float(np.median(np.diff(stamps))), least)
-    return known_where(apart=usual)
 
 
 NANOSECONDS = 1_000_000_000
@@ -122,6 +103,11 @@ class TimedReadings:
             return np.zeros(len(times), np.bool_)
         before, after = self.around(times)
         return gaps(times, self.times[before], self.times[after])
+
+    @cached_property
+    def spacing(self) -> float:
+        """Median time between readings, of three or more; NaN of fewer."""
+        return float(np.median(np.diff(self.times))) if len(self.times) > 2 else np.nan
 
     def around(self, times: Times) -> tuple[Indices, Indices]:
         """Find the readings before (or at) and at (or after) times (L,): two indices (L,).

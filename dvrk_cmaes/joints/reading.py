@@ -7,7 +7,6 @@ a frame's readings are interpolated to the image's time between the rows before 
 from __future__ import annotations
 
 import io
-import math
 import os
 import re
 from collections.abc import Iterable, Sequence
@@ -19,7 +18,7 @@ from dvrk_cmaes.errors import InputError, nearest_first, one_line
 from dvrk_cmaes.io.files import read_bytes, text_of
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.csv_table import EXPECTED, LEAST, read_joint_csv, read_plain_table
-from dvrk_cmaes.joints.interpolation import NANOSECONDS, known_where, largest_distance, weighted_mean
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, known_where, weighted_mean
 from dvrk_cmaes.joints.joint_state import is_joint_state, read_joint_state
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.names import accepted_names, check_joint, joint_reading, joints_by_count
@@ -234,19 +233,18 @@ def _written_out(text: str, names: tuple[str, ...]) -> dict[str, float]:
 def _interpolated(file: JointFile, frame: str, time: int, tolerance: int) -> tuple[dict[str, float], int]:
     """Interpolate a file's readings at a time; return them and the distance of the farthest reading used, ns."""
     found: dict[str, float] = {}
-    farthest = 0
-    at = np.array([time])
+    at, farthest = np.array([time]), 0
     for timed in file.timed:
-        most = largest_distance(timed.times, tolerance)
-        value = float(timed.at(at, known_where(away=most), weighted_mean)[0, 0])
+        # those that a robot sends five times a second are thus interpolated as those of a faster one are
+        most = tolerance if len(timed.times) < 4 else max(tolerance, round(1.5 * timed.spacing))
         nearest, farther = (int(distance[0]) for distance in timed.distances(at))
-        if math.isnan(value):
-            away = nearest / NANOSECONDS
+        if not timed.known(at, gaps := known_where(away=most)):
             raise NoneNearError(
                 f"{file.path}: frame {frame}: {timed.joints[0]}: expected readings before and after the image's time "
-                f"{time / NANOSECONDS:.3f} s, within {most / NANOSECONDS:g} s, got the nearest {away:.3f} s away"
+                f"{time / NANOSECONDS:.3f} s, within {most / NANOSECONDS:g} s, got the nearest "
+                f"{nearest / NANOSECONDS:.3f} s away"
             )
-        found[timed.joints[0]] = value
+        found |= zip(timed.joints, timed.at(at, gaps, weighted_mean)[0].tolist(), strict=True)
         farthest = max(farthest, farther)
     return found, farthest
 
@@ -276,7 +274,7 @@ _NAME = re.compile(r"(joint|jaw)_\d+")
 def read_joint_npy(path: str, data: bytes) -> JointFile:
     """Read joint readings from the bytes of a .npy file; ``path`` is for messages and names the row.
 
-    The shape is checked before the array is read, and pickled objects are refused.
+    Pickled objects are refused.
 
     Raises
     ------
@@ -286,17 +284,11 @@ def read_joint_npy(path: str, data: bytes) -> JointFile:
     stem = Path(path).stem
     if not _NAME.fullmatch(stem):
         raise InputError(f"{path}: expected {_EXPECTED}, got another NumPy file: write its numbers to a joints.csv")
-    stream = io.BytesIO(data)
     try:
-        version = np.lib.format.read_magic(stream)
-        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, _, dtype = read_header(stream)
-        stream.seek(0)
-        small = dtype.kind in "fiu" and 0 < math.prod(shape) <= 6
-        values = np.load(stream, allow_pickle=False).ravel().tolist() if small else None
+        values = np.load(io.BytesIO(data), allow_pickle=False)
     except Exception as error:  # NumPy parses the header as a Python literal, with errors of many types
         raise InputError(f"{path}: expected {_EXPECTED}, got no valid NumPy file ({one_line(error)})") from None
-    if values is None:
-        raise InputError(f"{path}: expected {_EXPECTED}, got {dtype} of shape {shape}")
-    cells = dict(zip(joints_by_count(path, len(values)), values, strict=True))
-    return JointFile.of(path, f"NumPy array of {len(values)}", {stem: (path, cells, None)}, "message")
+    if values.dtype.kind not in "fiu" or not 0 < values.size <= 6:
+        raise InputError(f"{path}: expected {_EXPECTED}, got {values.dtype} of shape {values.shape}")
+    cells = dict(zip(joints_by_count(path, values.size), values.ravel().tolist(), strict=True))
+    return JointFile.of(path, f"NumPy array of {values.size}", {stem: (path, cells, None)}, "message")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import Float64
+from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.interpolation import TimedReadings
 from dvrk_cmaes.joints.names import joint_reading
@@ -174,29 +174,25 @@ class JointFile:
         note = f"frame N has row {offset} + {step} N of {Path(self.path).name}"
         return replace(self, names=renamed, labels="frame", notes=(*self.notes, note))
 
-    @property
-    def known_times(self) -> NDArray[np.int64]:
-        """The times, ns, of the rows that have one."""
-        return np.asarray(self.times[self.times != NO_TIME])
-
-    @property
-    def checked_values(self) -> Float64:
-        """The readings (N, J) of all rows; InputError names a wrong cell."""
-        for text in self.wrong.values():
-            raise InputError(text)
-        return self.values
-
     @cached_property
     def timed(self) -> tuple[TimedReadings, ...]:
-        """Time series of each joint, from the rows that have a time; InputError names a wrong cell of these."""
-        timed, found = self.times != NO_TIME, []
+        """Time series of the rows that have a time, one of the joints that are read in the same of them.
+
+        InputError names a wrong cell of these rows.
+        """
+        timed, groups = self.times != NO_TIME, dict[bytes, tuple[Bool, list[int]]]()
         for place in (place for place in self.wrong if timed[place]):
             raise InputError(self.wrong[place])
-        for name, column in zip(self.joints, self.values.T, strict=True):
-            known = timed & ~np.isnan(column)
-            rows = slice(None) if known.all() else known  # a view takes no memory
-            if known.any():
-                found.append(TimedReadings.of(self.path, (name,), self.times[rows], column[rows, None]))
+        for column, cells in enumerate(self.values.T):
+            rows = timed & ~np.isnan(cells)
+            if rows.any():
+                groups.setdefault(rows.tobytes(), (rows, []))[1].append(column)
+        found = []
+        for rows, columns in groups.values():
+            every = slice(None) if rows.all() else rows  # a view takes no memory
+            values = self.values if len(columns) == len(self.joints) else self.values[:, columns]
+            names = tuple(self.joints[column] for column in columns)
+            found.append(TimedReadings.of(self.path, names, self.times[every], values[every]))
         return tuple(found)
 
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, smooth_spline, straight_line, usual_spacing
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, known_where, smooth_spline, straight_line
 from dvrk_cmaes.joints.lag import Lag, Unit
-from dvrk_cmaes.joints.rows import JointFile, number_of
+from dvrk_cmaes.joints.rows import NO_TIME, JointFile, number_of
 
-_LEAST_GAP = 0.1  # s, of the gaps that are not interpolated
+_LEAST_GAP = 0.1  # s, of the gaps that are not interpolated, ...
+_SPACINGS = 3.0  # ... or times the usual spacing of the readings
 _LARGEST_JUMPS = 0.25  # sum of deviations from the neighbours' means over that of changes: moves take two rows
 
 
@@ -51,8 +53,10 @@ class ReadingSeries:
         for k, name in enumerate(names):
             if name in self.times:
                 readings = TimedReadings((name,), self.times[name], self.values[name][:, None])
-                gaps = usual_spacing(readings.times, _LEAST_GAP if self.unit == "s" else 0.0)
-                out[:, k] = readings.at(times, gaps, smooth_spline if smoothed else straight_line)[:, 0]
+                least = _LEAST_GAP if self.unit == "s" else 0.0
+                gap = np.inf if np.isnan(readings.spacing) else max(_SPACINGS * readings.spacing, least)
+                curve = smooth_spline if smoothed else straight_line
+                out[:, k] = readings.at(times, known_where(apart=gap), curve)[:, 0]
         return out
 
     def of_frame(self, name: str, lag: Lag) -> dict[str, float]:
@@ -146,8 +150,8 @@ class ReadingSeries:
             len(names), -1
         )
         frames, interval = dict(zip(names, clock.tolist(), strict=True)), float(np.median(np.diff(clock)))
-        series = cls._of_columns("s" if timed else "frames", joints, clock, values, frames, interval)
-        return replace(series, origin=float(seconds[0])) if timed else series
+        unit, origin = ("s", float(seconds[0])) if timed else ("frames", 0.0)
+        return cls._of(unit, [(joints, clock, values)], frames, interval, origin)
 
     @classmethod
     def of_files(cls, files: Sequence[JointFile], images: Mapping[str, int | None]) -> ReadingSeries | None:
@@ -173,48 +177,44 @@ class ReadingSeries:
             for name, time in images.items()
         }
         known = {name: time for name, time in stamps.items() if time is not None}
-        every = np.unique(
-            np.concatenate([np.array([*known.values()], np.int64), *(file.known_times for file in named)])
-        )
-        if known and len(known) == len(stamps) and len(every) == 1:  # one image among readings without names
-            every = np.unique(np.concatenate([timed.times for file in files for timed in file.timed]))
-        if len(every) > 1 and len(known) == len(stamps) and all(file.timed for file in files):
+        of_rows = [file.times[file.times != NO_TIME] for file in named]
+        every = np.unique(np.concatenate([np.array([*known.values()], np.int64), *of_rows]))
+        readings = [timed for file in files for timed in file.timed] if known and len(known) == len(stamps) else []
+        if len(every) == 1 and readings:  # one image among readings without names
+            every = np.unique(np.concatenate([timed.times for timed in readings]))
+        if len(every) > 1 and readings and all(file.timed for file in files):
             origin = min(known.values())
-            readings = [timed for file in files for timed in file.timed]
             frames = {name: (time - origin) / NANOSECONDS for name, time in known.items()}
-            return cls(
-                "s",
-                {one.joints[0]: (one.times - origin) / NANOSECONDS for one in readings},
-                {one.joints[0]: one.values[:, 0] for one in readings},
-                frames,
-                float(np.median(np.diff(every))) / NANOSECONDS,
-                origin / NANOSECONDS,
-            )
+            in_seconds = [(one.joints, (one.times - origin) / NANOSECONDS, one.values) for one in readings]
+            interval = float(np.median(np.diff(every))) / NANOSECONDS
+            return cls._of("s", in_seconds, frames, interval, origin / NANOSECONDS)
         if len(files) != 1 or len(named) != 1 or len(named[0].names) < 2:
             return None
         (file,) = named
+        for text in file.wrong.values():
+            raise InputError(text)
         found = (-1 if (number := number_of(label)) is None else number for label in file.names)
         numbers = np.fromiter(found, np.float64, len(file.names))
         numbered = numbers.min() >= 0 and bool((np.diff(numbers) > 0).all())
         clock = numbers if numbered else np.arange(len(numbers), dtype=np.float64)
         frames = {name: float(clock[file.names[name]]) for name in images if name in file.names}
-        return cls._of_columns("frames", file.joints, clock, file.checked_values, frames, 1.0)
+        return cls._of("frames", [(file.joints, clock, file.values)], frames, 1.0)
 
     @classmethod
-    def _of_columns(
+    def _of(
         cls,
         unit: Unit,
-        joints: Sequence[str],
-        clock: Float64,
-        values: Float64,
+        tables: Iterable[tuple[Sequence[str], Float64, Float64]],
         frames: Mapping[str, float],
         interval: float,
+        origin: float = 0.0,
     ) -> ReadingSeries:
-        """Create a series from readings (M, J) at increasing times (M,), NaN where there is none."""
+        """Create a series from tables of joints, increasing times (M,) and readings (M, J), NaN where there is none."""
         times, read = dict[str, Float64](), dict[str, Float64]()
-        for joint, column in zip(joints, values.T, strict=True):
-            known = ~np.isnan(column)
-            rows = slice(None) if known.all() else known  # a view takes no memory
-            if known.any():
-                times[joint], read[joint] = clock[rows], column[rows]
-        return cls(unit, times, read, frames, interval)
+        for joints, clock, values in tables:
+            for joint, column in zip(joints, values.T, strict=True):
+                known = ~np.isnan(column)
+                rows = slice(None) if known.all() else known  # a view takes no memory
+                if known.any():
+                    times[joint], read[joint] = clock[rows], column[rows]
+        return cls(unit, times, read, frames, interval, origin)

@@ -122,20 +122,9 @@ def read_timed_joints(
     if isinstance(path, tuple):
         return path
     file = path if isinstance(path, JointFile) else read_joint_file(path, read_as=ReadAs(arm))
-    groups: dict[bytes, list[TimedReadings]] = {}
-    for series in file.timed:
-        groups.setdefault(series.times.tobytes(), []).append(series)
-    if not groups:
+    if not file.timed:
         raise InputError(
             f"{file.path}: expected joint readings with times (a column time, in seconds), got rows of "
             f"{', '.join(file.joints)} without"
         )
-    return tuple(
-        TimedReadings(
-            tuple(name for series in group for name in series.joints),
-            group[0].times,
-            np.hstack([series.values for series in group]),
-            file.path,
-        )
-        for group in groups.values()
-    )
+    return file.timed

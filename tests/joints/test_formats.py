@@ -132,7 +132,7 @@ def test_other_numpy_files_are_refused_without_running_code(tmp_path: Path) -> N
     assert message(saved(path, ["a"])) == f"{expected}<U1 of shape (1,)"
     assert message(saved(path, [np.inf])) == "jaw: expected a finite number in rad, got inf"
     np.save(path, np.array([{"a": 1}], dtype=object), allow_pickle=True)
-    assert message(path) == f"{expected}object of shape (1,)"
+    assert message(path).startswith(f"{expected}no valid NumPy file (Object arrays cannot be loaded")
     whole = saved(path, VALUES).read_bytes()
     path.write_bytes(whole[:-9])
     assert message(path).startswith(f"{expected}no valid NumPy file (")
