@@ -150,8 +150,8 @@ class ReadingSeries:
             len(names), -1
         )
         frames, interval = dict(zip(names, clock.tolist(), strict=True)), float(np.median(np.diff(clock)))
-        unit, origin = ("s", float(seconds[0])) if timed else ("frames", 0.0)
-        return cls._of(unit, [(joints, clock, values)], frames, interval, origin)
+        origin = float(seconds[0]) if timed else 0.0
+        return cls._of("s" if timed else "frames", [(joints, clock, values)], frames, interval, origin)
 
     @classmethod
     def of_files(cls, files: Sequence[JointFile], images: Mapping[str, int | None]) -> ReadingSeries | None:
