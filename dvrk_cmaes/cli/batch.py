@@ -196,7 +196,7 @@ def batch(
         Print only summary.json, on stdout.
     """
     wanted.check()
-    session, pictures = pictures_at(session)
+    session, pictures = pictures_at(session if wanted.scheduler is None else session.absolute())
     with output_folder(wanted.out, session, "results", "batch") as results:
         labelled = wanted.label is not None
         read = read_arms(session, given, calibrated, joints=wanted.joints, reading=reading, labelled=labelled)

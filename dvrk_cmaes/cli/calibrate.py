@@ -248,10 +248,8 @@ def _begin_arm(
     session, most = arm.session, count or usable_cores()
     with ExitStack() as stack:
         stack.enter_context(output(target, "calibrate", kept=(ALONE,)))
-        used = pool_of(arm.body, most, None if results is None else session.frames)
-        processes = stack.enter_context(used)
+        processes = stack.enter_context(pool_of(most, None if results is None else session.frames))
         if results is not None:
-            processes.begin()  # while the rest of the program is imported
             alone = read_results(results).frames
         else:
             results = target / ALONE
@@ -261,10 +259,18 @@ def _begin_arm(
                 return Begun.of(None)
             alone = done.results
         processes.report = stack.enter_context(progress())
-        from dvrk_cmaes.runs.calibrate_folder import FolderCalibration
+        from dvrk_cmaes.runs.calibrate_folder import begin_folder
 
-        folder = FolderCalibration(arm, target, results, processes, lambda stage, k: note(f"{stage}: {k} frames"))
-        begun = folder.begin(alone, refine_camera=refine_camera, lag=lag)
+        begun = begin_folder(
+            arm,
+            target,
+            results,
+            processes,
+            results=alone,
+            progress=lambda stage, k: note(f"{stage}: {k} frames"),
+            refine_camera=refine_camera,
+            lag=lag,
+        )
         return begun.within(stack.pop_all())
 
 

@@ -35,6 +35,7 @@ ARMS = "arms.json"
 MANIFEST = "run.json"
 """File of what the results in a folder were made with."""
 
+_LONGEST_NAME = 250  # bytes of a frame's name: nearly all file systems allow 255, with .json
 _NO_RESULTS = (SUMMARY, SESSION, ARMS, MANIFEST, "golden.json", "checkpoint.json")
 
 
@@ -208,8 +209,10 @@ def mask_path(out: Path, frame: str, view: str = "") -> Path:
 
 def check_frame_name(frame: str) -> None:
     """Raise an InputError for the name of a frame that is not valid as the name of a file."""
-    if not frame or "/" in frame or os.sep in frame or frame.startswith(".") or not frame.isprintable():
-        raise InputError(f"frame: expected a name that can be a file's (no slash, no leading dot), got {shown(frame)}")
+    valid = frame and frame.isprintable() and not ("/" in frame or os.sep in frame or frame.startswith("."))
+    if not valid or len(os.fsencode(frame)) > _LONGEST_NAME:
+        rules = f"no slash, no leading dot, at most {_LONGEST_NAME} bytes"
+        raise InputError(f"frame: expected a name that can be a file's ({rules}), got {shown(frame)}")
 
 
 def found_masks(out: Path, frame: str) -> list[Path]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import os
 import threading
 import time
 from collections import Counter
@@ -22,7 +21,7 @@ from dvrk_cmaes.io.json_file import write_json, write_text
 from dvrk_cmaes.io.output import Output, output
 from dvrk_cmaes.joints.prior import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.pose.config_check import check_config
-from dvrk_cmaes.results.folder import SUMMARY, ResultsFolder, read_results
+from dvrk_cmaes.results.folder import SUMMARY, ResultsFolder, check_output, read_results
 from dvrk_cmaes.results.pose_rows import pose_rows
 from dvrk_cmaes.results.result import Result, Status
 from dvrk_cmaes.runs.agreement import compare_bases
@@ -40,7 +39,6 @@ from dvrk_cmaes.runs.manifest import (
     COMMAND,
     POSES,
     TABLES,
-    check_names,
     check_same_frames,
     check_same_settings,
     chosen_frames,
@@ -132,12 +130,17 @@ def run_batch(
     names = arm.body.instrument.joint_names
     commanded = commanded_in([files.readings for files in session.frames], names)
     notes = (describe_commanded(commanded),) if commanded else ()
-    absolute = (_with_absolute_paths(files, session.folder) for files in session.frames)
-    frames = chosen_frames([replace(files, notes=(*files.notes, *notes)) for files in absolute], pattern)
-    check_names(out, frames)
+    local = functools.partial(relative_text, session.folder)
+    noted = (
+        replace(files, notes=(*map(local, files.notes), *notes), problem=files.problem and local(files.problem))
+        for files in session.frames
+    )
+    frames = chosen_frames([*noted], pattern)
+    for files in frames:
+        check_output(out, files.name)
     masks = with_backgrounds(method.segment or SegmentSettings(), session.frames, session.rig.names)
     method = replace(method, config=with_commanded(method.config, commanded, names), segment=masks)
-    arm = replace(arm, method=method, session=replace(session, folder=Path(os.path.abspath(session.folder))))
+    arm = replace(arm, method=method)
     started = time.monotonic()
     with output(out, COMMAND) as own:
         if not resume:
@@ -223,22 +226,8 @@ def outcomes(arm: ArmInSession, todo: Sequence[FrameFiles], workers: Workers) ->
     with ExitStack() as opened:
         if given is None:
             most = workers.count or max(1, usable_cores() // arm.method.config.threads)
-            given = opened.enter_context(pool_of(arm.body, min(most, len(todo))))
+            given = opened.enter_context(pool_of(min(most, len(todo))))
         used = given if isinstance(given, Executors) else Executors(given, lambda: 2 * usable_cores())
         done = run_tasks(used, todo, call, time_limit=workers.time_limit, stop=stop)
         for files, outcome in opened.enter_context(closing(done)):
             yield failed_outcome(arm, files, outcome.reason) if isinstance(outcome, WorkerDied) else outcome
-
-
-def _with_absolute_paths(files: FrameFiles, folder: Path) -> FrameFiles:
-    """Return a frame with absolute paths, and with the paths in its notes relative to the session's folder."""
-    mask, image, ignore = (
-        None if path is None else Path(os.path.abspath(path)) for path in (files.mask, files.image, files.ignore)
-    )
-    notes = tuple(relative_text(folder, note) for note in files.notes)
-    problem = None if files.problem is None else relative_text(folder, files.problem)
-    others = {name: _with_absolute_paths(other, folder) for name, other in files.others.items()}
-    tools = tuple(_with_absolute_paths(tool, folder) for tool in files.other_tools)
-    return replace(
-        files, mask=mask, image=image, ignore=ignore, notes=notes, problem=problem, others=others, other_tools=tools
-    )

@@ -9,20 +9,17 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from dvrk_cmaes.calibration.calibrate import SolvedSession, begin_arm
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.session_frame import Run, SessionFrame
+from dvrk_cmaes.calibration.session_frame import SessionFrame
 from dvrk_cmaes.calibration.session_problem import ArmSetup
 from dvrk_cmaes.calibration.together import Begun
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.camera.rig import ViewDocument
 from dvrk_cmaes.camera.ros import view_info_text
-from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
@@ -49,96 +46,90 @@ CAMERA = "camera.yaml"
 """File of the camera with which the session was solved, where that is not the session's own; of a rig, VIEW.yaml."""
 
 
-@dataclass(frozen=True, eq=False)
-class FolderCalibration:
-    """The calibration of an arm's session folder from its frames' own results, of which all files are written.
+def begin_folder(
+    arm: ArmInSession,
+    out: Path,
+    alone: Path,
+    pool: Pool,
+    *,
+    results: Mapping[str, Result],
+    progress: Callable[[str, int], None],
+    refine_camera: bool,
+    lag: Lag | None,
+) -> Begun[SolvedSession]:
+    """Solve an arm's session from its frames' own ``results``; what `solved_together` finishes writes everything.
 
-    ``alone`` is the folder of those results; masks that were found in images, and overlays of frames that are left out,
-    are taken from there. ``processes`` are those of `pool_of`. All files are written to a temporary folder,
-    which takes the place of an earlier ``out`` when it is whole.
+    ``alone`` is the folder of the results; masks that were found in images, and overlays of frames that are left out,
+    are taken from there. All files are written to a temporary folder, which takes the place of an earlier ``out`` when
+    it is whole.
+
+    Raises
+    ------
+    InputError
+        As `dvrk_cmaes.calibrate_session`; results of another instrument; a folder that cannot be written to.
+    DvrkCmaesError
+        A process died, or the disk is full.
     """
+    session, instrument, config = arm.session, arm.body.instrument, arm.method.config
+    files = {own.name: _with_mask(own, alone) for own in session.frames}
+    frames = []
+    for name, own in files.items():
+        check_output(out, name)
+        if name not in results:
+            continue
+        result = results[name]
+        if result.instrument != instrument.name:
+            raise InputError(
+                f"frame {name}: instrument: expected {instrument.name}, got a result of {result.instrument}"
+            )
+        frames.append(SessionFrame(name, functools.partial(read_frame, own, session.rig), result, own.keypoints))
+    if not all(each.has_mask for each in session.frames):
+        config = config.with_alike_masks()
+    run, refined = functools.partial(run_with_body, pool, arm.body, config), (refine_camera or session.guessed)
+    series, kinematics = session.reading_series(), arm.method.arm
+    setup = ArmSetup(series, instrument, kinematics, config, run, progress, refined, session.guessed, lag=lag)
+    return begin_arm(frames, setup).then(functools.partial(_written, arm, out, alone, files, setup))
 
-    arm: ArmInSession
-    out: Path
-    alone: Path
-    processes: Pool
-    progress: Callable[[str, int], None]
 
-    @cached_property
-    def files(self) -> dict[str, FrameFiles]:
-        """The files of the frames by name, with the masks that were found in images."""
-        return {own.name: _with_mask(own, self.alone) for own in self.arm.session.frames}
-
-    @property
-    def _used(self) -> EstimateConfig:
-        """The settings, for masks that were found, if some were."""
-        given = all(each.has_mask for each in self.arm.session.frames)
-        return self.arm.method.config if given else self.arm.method.config.with_alike_masks()
-
-    @property
-    def _run(self) -> Run[Any, Any]:
-        """Applies a function to many tasks."""
-        return functools.partial(run_with_body, self.processes, self.arm.body, self._used)
-
-    def begin(self, results: Mapping[str, Result], *, refine_camera: bool, lag: Lag | None) -> Begun[SolvedSession]:
-        """Solve the session; finish it by `solved_together` or `solved_alone`, which writes everything.
-
-        Raises
-        ------
-        InputError
-            As `dvrk_cmaes.calibrate_session`; results of another instrument; a folder that cannot be written to.
-        DvrkCmaesError
-            A process died, or the disk is full.
-        """
-        session, instrument, frames = self.arm.session, self.arm.body.instrument, []
-        for name, own in self.files.items():
-            check_output(self.out, name)
-            if name not in results:
-                continue
-            result = results[name]
-            if result.instrument != instrument.name:
-                raise InputError(
-                    f"frame {name}: instrument: expected {instrument.name}, got a result of {result.instrument}"
-                )
-            reader = functools.partial(read_frame, own, session.rig)
-            frames.append(SessionFrame(name, reader, result, own.keypoints))
-        series, refined = session.reading_series(), (refine_camera or session.guessed, session.guessed)
-        used = self._used, self._run, self.progress
-        problem = ArmSetup(series, instrument, self.arm.method.arm, *used, *refined, lag=lag)
-        return begin_arm(frames, problem).then(self._written)
-
-    def _written(self, found: tuple[SolvedSession, dict[str, Evidence]]) -> SolvedSession:
-        """Write a calibration with drawings of its frames; returns it with the cameras with which it was solved."""
-        (solved, evidence), session, alone = found, self.arm.session, self.alone
-        self.progress("drawing", len(solved.leave_one_out))
-        corrected = Rig(solved.calibration.corrected_views(session.rig.views))
-        calibration = replace(solved.calibration, views=tuple(ViewDocument.of(view) for view in corrected.views))
-        # the camera that was found is the session's from here on
-        if session.guessed and calibration.camera is not None:
-            calibration = replace(calibration, camera=calibration.camera.of_the_camera_found())
-            session = replace(session, rig=corrected)
-        solved = replace(solved, calibration=calibration)
-        left_out = solved.leave_one_out
-        tasks = [(self.files[k], solved.results[k], own, evidence[k]) for k, own in left_out.items()]
-        drawn = self._run(functools.partial(draw_task, rig=session.rig, calibrated=corrected), tasks)
-        pictures = dict(zip(left_out, drawn, strict=True))
-        with whole_folder(self.out, "calibrate", overwrite=True, kept=(ALONE,)) as place:
-            for name, result in solved.results.items():
-                if name in pictures:
-                    overlay, left_out_overlay = pictures[name]
-                    write_bytes(overlay_path(place, name), overlay)
-                    write_bytes(left_out_path(place, name), left_out_overlay)
-                elif overlay_path(alone, name).is_file():
-                    write_bytes(overlay_path(place, name), overlay_path(alone, name).read_bytes())
-                write_json(result_path(place, name), result.to_dict())
-            write_cameras(calibration, session.rig, place)
-            write_json(place / SESSION, calibration.to_dict())
-            stamps = {own.name: frame_stamps(own) for own in session.frames if own.name in solved.results}
-            manifest = manifest_of(replace(self.arm, session=session), stamps)
-            with output(place, "calibrate") as own:
-                own.describe(manifest | {"solved": "together"})
-            finish(place, trust=self.arm.method.config.trust)
-        return solved
+def _written(
+    arm: ArmInSession,
+    out: Path,
+    alone: Path,
+    files: Mapping[str, FrameFiles],
+    setup: ArmSetup,
+    found: tuple[SolvedSession, dict[str, Evidence]],
+) -> SolvedSession:
+    """Write a calibration with drawings of its frames; returns it with the cameras with which it was solved."""
+    (solved, evidence), session = found, arm.session
+    setup.progress("drawing", len(solved.leave_one_out))
+    corrected = Rig(solved.calibration.corrected_views(session.rig.views))
+    calibration = replace(solved.calibration, views=tuple(ViewDocument.of(view) for view in corrected.views))
+    # the camera that was found is the session's from here on
+    if session.guessed and calibration.camera is not None:
+        calibration = replace(calibration, camera=calibration.camera.of_the_camera_found())
+        session = replace(session, rig=corrected)
+    solved = replace(solved, calibration=calibration)
+    left_out = solved.leave_one_out
+    tasks = [(files[k], solved.results[k], own, evidence[k]) for k, own in left_out.items()]
+    drawn = setup.run(functools.partial(draw_task, rig=session.rig, calibrated=corrected), tasks)
+    pictures = dict(zip(left_out, drawn, strict=True))
+    with whole_folder(out, "calibrate", overwrite=True, kept=(ALONE,)) as place:
+        for name, result in solved.results.items():
+            if name in pictures:
+                overlay, left_out_overlay = pictures[name]
+                write_bytes(overlay_path(place, name), overlay)
+                write_bytes(left_out_path(place, name), left_out_overlay)
+            elif overlay_path(alone, name).is_file():
+                write_bytes(overlay_path(place, name), overlay_path(alone, name).read_bytes())
+            write_json(result_path(place, name), result.to_dict())
+        write_cameras(calibration, session.rig, place)
+        write_json(place / SESSION, calibration.to_dict())
+        stamps = {own.name: frame_stamps(own) for own in session.frames if own.name in solved.results}
+        manifest = manifest_of(replace(arm, session=session), stamps)
+        with output(place, "calibrate") as own:
+            own.describe(manifest | {"solved": "together"})
+        finish(place, trust=arm.method.config.trust)
+    return solved
 
 
 def _with_mask(files: FrameFiles, alone: Path) -> FrameFiles:

@@ -185,4 +185,4 @@ def hints_of(files: FrameFiles) -> Hints | None:
 
 def relative_text(folder: Path, text: str) -> str:
     """Return a text on one line with paths relative to the session's folder, the same wherever that folder lies."""
-    return " ".join(text.replace(f"{folder}{os.sep}", "").splitlines())
+    return " ".join((text if folder == Path() else text.replace(f"{folder}{os.sep}", "")).splitlines())

@@ -27,13 +27,12 @@ from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.frames.frame import FrameFiles, readable
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.io.json_file import json_text, read_json_object, write_json
-from dvrk_cmaes.io.short_text import listed, natural, shown
+from dvrk_cmaes.io.short_text import listed, natural
 from dvrk_cmaes.io.typed_document import convert_document
 from dvrk_cmaes.results.folder import (
     MANIFEST,
     SESSION,
     SUMMARY,
-    check_output,
     mask_path,
     overlay_path,
     read_result,
@@ -136,7 +135,7 @@ def manifest_of(arm: ArmInSession, frames: FrameParts) -> Manifest:
             "backgrounds": backgrounds,
         },
         "calibration": None if method.session is None else digest_of(json_text(method.session.to_dict())),
-        "session": str(arm.session.folder),
+        "session": os.path.abspath(arm.session.folder),
         "warnings": list(arm.session.warnings),
         "frames": _sorted(frames),
     }
@@ -241,9 +240,6 @@ def _leaves(tree: Mapping[str, Any], table: str = "") -> Iterator[tuple[str, Any
             yield f"{table}{name}", value
 
 
-_LONGEST_NAME = 255  # bytes, the limit of nearly all file systems
-
-
 def chosen_frames(frames: Sequence[FrameFiles], pattern: str | None) -> tuple[FrameFiles, ...]:
     """Return the frames whose names match a shell pattern (``*``, ``?``, ``[..]``), or all frames, in order.
 
@@ -261,23 +257,6 @@ def chosen_frames(frames: Sequence[FrameFiles], pattern: str | None) -> tuple[Fr
         near = listed(nearest_first(str(pattern), [frame.name for frame in frames[:1000]]))
         raise InputError(f"--frames: expected a pattern of some of the {len(frames)} frames ({near}), got {pattern!r}")
     return chosen
-
-
-def check_names(out: Path, frames: Sequence[FrameFiles]) -> None:
-    """Check that the results of all frames can be written to a folder.
-
-    Raises
-    ------
-    InputError
-        As `check_output`; or a file name would be too long.
-    """
-    for frame in frames:
-        check_output(out, frame.name)
-        name = result_path(out, frame.name).name
-        if len(os.fsencode(name)) > _LONGEST_NAME:
-            raise InputError(
-                f"frame: expected a name of at most {_LONGEST_NAME} bytes with .json, got {shown(frame.name)}"
-            )
 
 
 COMMAND: Final = "batch"

@@ -15,7 +15,6 @@ import os
 import pickle
 import signal
 import sys
-import tempfile
 import threading
 import warnings
 from collections import deque
@@ -27,7 +26,7 @@ from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
 from types import FrameType
-from typing import IO, TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import cv2
 from threadpoolctl import threadpool_limits
@@ -42,7 +41,6 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 R = TypeVar("R")
 
-_GROUPS: Final = 8  # of tasks for each process, where their values are wanted together
 _DIED: Final = "its process died twice: out of memory, or a crash in a native library"
 _PAYS: Final = 4  # frames of a calibration from which on one process more is sooner done: its start takes about two
 _MOST_SHARED: Final = 4  # values that a process keeps for its tasks
@@ -118,7 +116,8 @@ class Pool(Workers):
     Parameters
     ----------
     start
-        Picklable function that is called first in each process and does not raise.
+        Small picklable function that is called first in each process and does not raise; the process that starts
+        another one waits until that has read it.
     count
         Number of processes, each of which is started when there is a task for it.
     here
@@ -134,7 +133,6 @@ class Pool(Workers):
         self.report: Callable[..., None] = lambda done, total: None
         self.stop = threading.Event()
         self._pool: ProcessPoolExecutor | None = None
-        self._packed: IO[bytes] | None = None
         self._lock = threading.Lock()
 
     def __enter__(self) -> Pool:
@@ -143,7 +141,8 @@ class Pool(Workers):
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is not None:
             self.kill()
-        self.close()
+        if self._pool is not None:
+            self._pool.shutdown()  # which waits until the processes have ended after their calls
 
     def begin(self) -> Pool:
         """Start the processes before there are tasks for them, and do not wait until they are ready."""
@@ -155,12 +154,8 @@ class Pool(Workers):
         """Submit a call; the future of a pool that a death has just broken has ended with its error."""
         with self._lock, _interrupts_blocked():
             if self._pool is None:
-                if self._packed is None:  # a file, since what is handed to a process is waited for until it is read
-                    self._packed = tempfile.NamedTemporaryFile(prefix="dvrk-cmaes-")  # noqa: SIM115 (until `close`)
-                    self._packed.write(pickle.dumps(self.start))
-                    self._packed.flush()
                 spawn = multiprocessing.get_context("spawn")
-                self._pool = ProcessPoolExecutor(self.count, spawn, _begin, (self._packed.name,))
+                self._pool = ProcessPoolExecutor(self.count, spawn, _begin, (self.start,))
             try:
                 return self._pool.submit(call, *arguments)
             except BrokenProcessPool as error:
@@ -192,26 +187,17 @@ class Pool(Workers):
                 process.kill()
             pool.shutdown(cancel_futures=True)
 
-    def close(self) -> None:
-        """Let the processes end after their calls, and wait until they have."""
-        if self._pool is not None:
-            self._pool.shutdown()
-        if self._packed is not None:
-            self._packed.close()
-
     def values(self, call: Callable[[T], R], tasks: Sequence[T]) -> list[R]:
         """Return the values of a picklable function in the order of the tasks; DvrkCmaesError if a process died."""
-        size = max(1, len(tasks) // (_GROUPS * (self.count + self.here)))
-        groups = [(first, tasks[first : first + size]) for first in range(0, len(tasks), size)]
-        found: dict[int, list[R]] = {}
-        for (first, _), value in run(self, groups, functools.partial(_each, call), stop=self.stop):
+        found: dict[int, R] = {}
+        for (k, _), value in run(self, enumerate(tasks), functools.partial(_numbered, call), stop=self.stop):
             if isinstance(value, WorkerDied):
-                raise DvrkCmaesError(f"frame {first + 1} of {len(tasks)}: {value.reason}: try fewer --workers")
-            found[first] = value
-            self.report(sum(map(len, found.values())), len(tasks))
-        if len(found) < len(groups):
+                raise DvrkCmaesError(f"frame {k + 1} of {len(tasks)}: {value.reason}: try fewer --workers")
+            found[k] = value
+            self.report(len(found), len(tasks))
+        if len(found) < len(tasks):
             raise StoppedError
-        return [value for first, _ in groups for value in found[first]]
+        return [found[k] for k in range(len(tasks))]
 
 
 def run(
@@ -303,8 +289,8 @@ def _lost(error: BaseException) -> DvrkCmaesError:
     )
 
 
-def _each(call: Callable[[T], R], group: tuple[int, Sequence[T]]) -> list[R]:
-    return [call(task) for task in group[1]]
+def _numbered(call: Callable[[T], R], task: tuple[int, T]) -> R:
+    return call(task[1])
 
 
 def limited(seconds: float, call: Callable[[T], R], task: T) -> R | WorkerDied:
@@ -342,7 +328,7 @@ def _interrupts_blocked() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _begin(packed: str) -> None:
+def _begin(start: Callable[[], object]) -> None:
     """Prepare a worker process, which ends when the one that started it does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if not sys.warnoptions:
@@ -351,11 +337,6 @@ def _begin(packed: str) -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_exit_after, args=(parent,), daemon=True).start()
-    try:
-        with open(packed, "rb") as file:
-            start: Callable[[], object] = pickle.load(file)
-    except FileNotFoundError:  # the one that started this one has ended
-        os._exit(1)
     start()
     prepare_long_run()
 
@@ -365,28 +346,15 @@ def _exit_after(parent: BaseProcess) -> None:
     os._exit(1)
 
 
-_shared: dict[bytes, Any] = {}
+def packed(value: Any) -> bytes:
+    """Pickle what many tasks share, which each process unpickles once by `unpacked`."""
+    return pickle.dumps(value, protocol=pickle.HIGHEST_PROTOCOL)
 
 
 @functools.lru_cache(maxsize=_MOST_SHARED)
-def packed(value: Any) -> bytes:
-    """Pickle what many tasks share, which each process unpickles once by `unpacked`, and this one not at all."""
-    data = pickle.dumps(value, protocol=pickle.HIGHEST_PROTOCOL)
-    _keep(data, value)
-    return data
-
-
 def unpacked(data: bytes) -> Any:
     """Return what was pickled by `packed`."""
-    if data not in _shared:
-        _keep(data, pickle.loads(data))
-    return _shared[data]
-
-
-def _keep(data: bytes, value: Any) -> None:
-    while len(_shared) >= _MOST_SHARED:
-        _shared.pop(next(iter(_shared)), None)
-    _shared[data] = value
+    return pickle.loads(data)
 
 
 @functools.cache
@@ -396,10 +364,11 @@ def limit_library_threads() -> threadpool_limits:
     return threadpool_limits(1)
 
 
-def pool_of(body: Body, workers: int, frames: Sized | None = None) -> Pool:
-    """Return processes that have an instrument: of ``frames``, this one and as many others as they pay."""
-    start = functools.partial(_prepare, packed(body))
-    return Pool(start, workers) if frames is None else Pool(start, further_processes(workers, len(frames)), here=True)
+def pool_of(workers: int, frames: Sized | None = None) -> Pool:
+    """Return processes for frames: of those that are given, this one and as many others as they pay."""
+    if frames is None:
+        return Pool(_prepare, workers)
+    return Pool(_prepare, further_processes(workers, len(frames)), here=True)
 
 
 def further_processes(workers: int, frames: int) -> int:
@@ -418,11 +387,9 @@ def run_with_body(
     return pool.values(functools.partial(_with_body, packed(body), config, function), tasks)
 
 
-def _prepare(body: bytes) -> None:
-    """Unpickle the instrument in a process, and import what its tasks need."""
+def _prepare() -> None:
+    """Import what the tasks of a process need."""
     import dvrk_cmaes.runs.calibration_pictures  # noqa: F401
-
-    unpacked(body)
 
 
 def _with_body(

@@ -43,7 +43,7 @@ class SolverProcess(ExitStack):
     def __init__(self, body: Body, *, threads: int = 1, background: bool = False) -> None:
         super().__init__()
         self._threads, self._body = threads, packed(body)
-        self._process = self.enter_context(Pool(partial(_prepare, self._body, background), 1))
+        self._process = self.enter_context(Pool(partial(_prepare, background), 1))
         self._asking = self.enter_context(ThreadPoolExecutor(1))
         self._ended = False
         self.callback(self._end)
@@ -108,11 +108,10 @@ class SolverProcess(ExitStack):
         self._process.kill()
 
 
-def _prepare(body: bytes, background: bool) -> None:
-    """Unpickle the instrument in the process."""
+def _prepare(background: bool) -> None:
+    """Give the process its priority."""
     if background and hasattr(os, "nice"):
         os.nice(10)
-    unpacked(body)
 
 
 def _estimate(body: bytes, task: KeyframeProblem, threads: int) -> dict[str, Result]:

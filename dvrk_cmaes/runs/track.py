@@ -33,12 +33,12 @@ from dvrk_cmaes.report.track_page import PAGE
 from dvrk_cmaes.results.folder import SESSION, check_writable
 from dvrk_cmaes.results.tracked import TABLE, TRACKS, VIDEO, TrackResult, line_of, write_table
 from dvrk_cmaes.runs.frame import ArmInSession
-from dvrk_cmaes.runs.keyframes import begin_images, begin_keyframes
+from dvrk_cmaes.runs.keyframes import begin_solution
 from dvrk_cmaes.runs.manifest import Manifest, frame_stamps, manifest_of
 from dvrk_cmaes.runs.pool import StoppedError, pool_of, run_with_body, usable_cores
 from dvrk_cmaes.runs.recording import RecordedFrames, RecordedSolution, follow_window
 from dvrk_cmaes.runs.solver_process import SolverProcess
-from dvrk_cmaes.runs.track_inputs import EvidenceKind, TrackClock, files_of_views, read_arrays
+from dvrk_cmaes.runs.track_inputs import EvidenceKind, TrackClock, files_of_views, read_arrays, series_of
 from dvrk_cmaes.runs.track_outputs import write_outputs
 from dvrk_cmaes.segment import segment
 from dvrk_cmaes.segment.segmentation import Hints
@@ -101,9 +101,9 @@ class TrackedArm:
     ) -> None:
         every, joints = arm.session.frames[:: settings.every], arm.body.instrument.joint_names
         self.frames = tuple(replace(files, problem=None, unread=False) if files.unread else files for files in every)
-        self.clock = TrackClock.of(
-            arm.session, self.frames, arm.method.config.track.frames_a_second, use_joints=settings.use_joints
-        )
+        series, rate = series_of(arm.session), arm.method.config.track.frames_a_second
+        used = tuple(series.times) if settings.use_joints else ()
+        self.clock = TrackClock(series, 1.0 if series.unit == "s" else 1 / rate, used)
         readings = [files.readings for files in self.frames] if settings.use_joints else []
         commanded = commanded_in(readings, joints)
         self._remarks = (describe_commanded(commanded),) if commanded else ()
@@ -113,7 +113,6 @@ class TrackedArm:
         given = arm.method.session
         self._lag = None if settings.lag is None else self.clock.lag(settings.lag, 0.0)
         self._given = given if given is None or self._lag is None else replace(given, lag=self._lag)
-        self._work: ArmSetup | None = None
         self.rows: list[dict[str, Any]] = []
         self.calibration: SessionCalibration | None = None
         self.readings: Mapping[str, Float64] = {}
@@ -160,24 +159,15 @@ class TrackedArm:
         settings, method = self.settings, self.arm.method
         frames, series, given = self.frames, self.clock.series, self._given
         config = replace(method.config, threads=1)
-        pool = stack.enter_context(pool_of(self.body, settings.workers or usable_cores(), frames))
+        pool = stack.enter_context(pool_of(settings.workers or usable_cores(), frames))
         pool.stop, pool.report = self._stop, self._report
         run = partial(run_with_body, pool, self.body, config)
         work = ArmSetup(series, self.body.instrument, method.arm, config, run, self._stage, lag=self._lag)
-        by_masks = settings.evidence == "masks"
-        times = np.array([self.clock.times[files.name] for files in frames])
-        recorded = RecordedFrames.of(frames, self.session.rig, series, times)
-        recorded = recorded.with_own_masks() if by_masks else recorded
-        self._work = work
+        recorded = RecordedFrames(frames, self.session.rig, series, np.array(self.clock.times(frames)))
         if given is not None and not recorded.trusted.any():
             return Begun.of("no frame has readings of the outer joints that are not frozen")
-        if given is not None and by_masks:
-            return Begun.of(RecordedSolution(recorded, given))
-        return (
-            begin_keyframes(recorded, work)
-            if by_masks
-            else begin_images(recorded, given, method.hints or Hints(), work)
-        )
+        hints = None if settings.evidence == "masks" else method.hints or Hints()
+        return begin_solution(recorded, given, hints, work)
 
     def _finish(self, own: Output, begun: Begun[RecordedSolution | str | None], outcome: Outcome | None) -> TrackedArm:
         """Finish the keyframes of the arm, whose folder and processes are open, follow it, and write everything.
@@ -197,8 +187,7 @@ class TrackedArm:
             self.calibration = calibration = replace(calibration, remarks=(*calibration.remarks, *new))
         if calibration is not None and self.rows:
             write_json(self.out / SESSION, calibration.to_dict())
-        times = np.array([self.clock.times[files.name] for files in self.frames]) - late
-        self.readings = self.clock.readings_at(times)
+        self.readings = self.clock.readings_at(np.array(self.clock.times(self.frames)) - late)
         if not self.interrupted:
             write_table(self.out / TABLE, self.rows, self.body.instrument.joint_names)
             if self.rows:
@@ -210,9 +199,8 @@ class TrackedArm:
         """Follow by the solution of the keyframes, or from image to image after a line that says why there is none."""
         if self._stop.is_set():
             return
-        if isinstance(found, RecordedSolution) and self._work is not None:
-            self._stage("fitting", len(self.frames))
-            results = follow_window(found, self._work)
+        if isinstance(found, RecordedSolution):
+            results = follow_window(found)
             self.rows = [self._row(files, result) for files, result in zip(self.frames, results, strict=True)]
             self.calibration = found.calibration
             return
@@ -230,8 +218,7 @@ class TrackedArm:
             if set(OUTER_JOINTS) <= {*self.clock.joints}:  # which alone tell of a base
                 solver = stack.enter_context(SolverProcess(self.body, threads=settings.workers or usable_cores()))
             schedule = SolutionSchedule(tracker, solver)
-            for files in self.frames:
-                time = self.clock.times[files.name]
+            for files, time in zip(self.frames, self.clock.times(self.frames), strict=True):
                 while readings and readings[0][0] <= time + _SAME_TIME:
                     tracker.add_readings(*readings.popleft())
                 seen = self._seen(files)
@@ -265,11 +252,11 @@ class TrackedArm:
         """Return the row of a frame in tracks.jsonl; without any readings, it says that nothing tells the mode."""
         if not self.clock.joints and self.body.instrument.has_twin and result.status == "doubtful":
             result = replace(result, reasons=(NO_READINGS, *result.reasons))
-        return result.to_dict(files.name, timed=self.clock.unit == "s")
+        return result.to_dict(files.name, timed=self.clock.series.unit == "s")
 
     def _stage(self, stage: str, frames: int) -> None:
         """Say at which stage the run is."""
-        self._notice(f"{stage} {frames} frames" if stage == "fitting" else f"{stage}: {frames} frames")
+        self._notice(f"{stage}: {frames} frames")
 
     def _manifest(self) -> Manifest:
         """Return what the results depend on."""

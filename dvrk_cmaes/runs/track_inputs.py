@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -18,7 +18,7 @@ from dvrk_cmaes.frames.images import match_size
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Bool, Float64, Image
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
-from dvrk_cmaes.joints.lag import Lag, Unit
+from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
 
 EvidenceKind = Literal["masks", "images"]
@@ -28,69 +28,51 @@ EvidenceKind = Literal["masks", "images"]
 class TrackClock:
     """Times of images and readings in seconds.
 
-    ``times`` are those of the images, by frame. ``series`` has all readings, and the times of all frames, whose unit is
-    of ``seconds``: where images are only counted, their times follow from the number of images a second. It is None for
-    a single frame without a clock. ``joints`` are those whose readings are used.
+    ``series`` has all readings, and the times of all frames, whose unit is of ``seconds``: where images are only
+    counted, their times follow from the number of images a second. ``joints`` are those whose readings are used.
     """
 
-    times: Mapping[str, float]
+    series: ReadingSeries
     seconds: float
-    series: ReadingSeries | None
     joints: tuple[str, ...]
-
-    @property
-    def unit(self) -> Unit:
-        """Unit of the times in the session."""
-        return "frames" if self.series is None else self.series.unit
 
     @property
     def interval(self) -> float:
         """Time between consecutive images, s."""
-        return (1.0 if self.series is None else self.series.interval) * self.seconds
+        return self.series.interval * self.seconds
+
+    def times(self, frames: Sequence[FrameFiles]) -> list[float]:
+        """Return the times of frames, s."""
+        return [self.series.frames[files.name] * self.seconds for files in frames]
 
     def lag(self, seconds: float, std: float) -> Lag:
         """Return a lag with its standard deviation, both in s, that is taken out of the readings of the session."""
-        unit = self.seconds
-        return Lag.of(seconds / unit, std / unit, self.unit, self.interval / unit, applied=True)
+        unit, series = self.seconds, self.series
+        return Lag.of(seconds / unit, std / unit, series.unit, series.interval, applied=True)
 
-    def readings(self) -> list[tuple[float, dict[str, float]]]:
-        """Return the readings with their times, s, in order."""
+    def readings(self) -> Iterator[tuple[float, dict[str, float]]]:
+        """Yield the readings with their times, s, in order."""
         rows: dict[float, dict[str, float]] = {}
-        if self.series is not None:
-            for name in self.joints:
-                read = zip(self.series.times[name].tolist(), self.series.values[name].tolist(), strict=True)
-                for stamp, value in read:
-                    rows.setdefault(stamp, {})[name] = value
-        return [(stamp * self.seconds, rows[stamp]) for stamp in sorted(rows)]
+        for name in self.joints:
+            for stamp, value in zip(self.series.times[name].tolist(), self.series.values[name].tolist(), strict=True):
+                rows.setdefault(stamp * self.seconds, {})[name] = value
+        yield from sorted(rows.items())
 
     def readings_at(self, times: Float64) -> dict[str, Float64]:
         """Interpolate the readings of each joint at times (F,), s; NaN where they are not known."""
-        if self.series is None:
-            return {}
         return {joint: self.series.at((joint,), times / self.seconds)[:, 0] for joint in sorted(self.joints)}
 
-    @staticmethod
-    def of(
-        session: Session, frames: Sequence[FrameFiles], frames_a_second: float, *, use_joints: bool = True
-    ) -> TrackClock:
-        """Find the times of frames and readings: the session's own, or else from the order of its frames."""
-        series = series_of(session)
-        if series is None:
-            return TrackClock({files.name: 0.0 for files in frames}, 1 / frames_a_second, None, ())
-        seconds = 1.0 if series.unit == "s" else 1 / frames_a_second
-        times = {files.name: series.frames[files.name] * seconds for files in frames}
-        return TrackClock(times, seconds, series, tuple(series.times) if use_joints else ())
 
-
-def series_of(session: Session) -> ReadingSeries | None:
-    """Return all readings of a session with the times of all its frames; None for a single frame without a clock."""
+def series_of(session: Session) -> ReadingSeries:
+    """Return all readings of a session with the times of all its frames; the frames are counted without a clock."""
     series = session.reading_series()
     names = [files.name for files in session.frames]
     if series is not None and all(name in series.frames for name in names):
         return series
     given = session.image_times
     times = {name: None if (time := given.get(name)) is None else time / NANOSECONDS for name in names}
-    return ReadingSeries.of_frames({files.name: files.readings for files in session.frames}, times)
+    series = ReadingSeries.of_frames({files.name: files.readings for files in session.frames}, times)
+    return series or ReadingSeries("frames", {}, {}, dict.fromkeys(names, 0.0), 1.0)
 
 
 def used_session(session: Session, evidence: EvidenceKind | None) -> tuple[Session, EvidenceKind | None]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.draw.track_overlay import draw_track, draw_track_of_arms, project_visible, projected_axes
 from dvrk_cmaes.export.rerun_file import rerun_file
 from dvrk_cmaes.geometry import Float64, apply
+from dvrk_cmaes.io.short_text import natural
 from dvrk_cmaes.io.video_writer import whole_video
 from dvrk_cmaes.report.track_page import FollowedRecording, write_track_page
 from dvrk_cmaes.results.followed import result_of_row
@@ -27,33 +28,29 @@ if TYPE_CHECKING:
     from dvrk_cmaes.runs.track import TrackedArm
 
 
-class SeenFrame(NamedTuple):
-    """A frame and its line of tracks.jsonl, with image, mask and silhouette of the pose in each view of the rig."""
+class _Drawn:
+    """The frames of an arm that was followed, as its views show them, with the silhouette of each pose."""
 
-    row: Mapping[str, Any]
-    views: tuple[TrackView, ...]
+    def __init__(self, arm: TrackedArm) -> None:
+        self._arm, self.rig = arm, arm.session.rig
+        self._renderers = [Renderer(arm.body, view.camera, threads=1) for view in self.rig.views]
 
-
-def _seen_frames(arm: TrackedArm) -> Iterator[SeenFrame]:
-    """Read the frames of an arm that was followed, and render their poses; InputError for a file that is wrong."""
-    rig, body = arm.session.rig, arm.body
-    renderers = [Renderer(body, view.camera, threads=1) for view in rig.views]
-    names = body.instrument.joint_names
-    for files, row in zip(arm.frames, arm.rows, strict=True):
-        of_views = files_of_views(files, rig)
-        views = []
-        for number, (view, renderer) in enumerate(zip(rig.views, renderers, strict=True)):
+    def views(self, number: int) -> tuple[TrackView, ...]:
+        """Read a frame, and render its pose in each view of the rig; InputError for a file that is wrong."""
+        row, instrument = self._arm.rows[number], self._arm.body.instrument
+        of_views, found = files_of_views(self._arm.frames[number], self.rig), []
+        for first, (view, renderer) in enumerate(zip(self.rig.views, self._renderers, strict=True)):
             camera, silhouette, posed = view.camera, None, dict[str, Float64]()
             image, mask, _ = read_arrays(of_views[view.name], camera) if view.name in of_views else (None, None, None)
             if row["camera_from_root"] is not None:
-                joints = np.array([[row["joints"][name] for name in names]])
+                joints = np.array([row["joints"][name] for name in instrument.joint_names])
                 pose = np.array(row["camera_from_root"])
-                seen = view.view_from_camera @ pose if number else pose
+                seen = view.view_from_camera @ pose if first else pose
                 posed["axes"] = projected_axes(camera, seen)
-                posed["tips"] = project_visible(camera, apply(seen, body.instrument.ends(joints[0])))
-                silhouette = renderer.masks(seen[None], joints)[0]
-            views.append(TrackView(image, mask, silhouette, (camera.width, camera.height), **posed))
-        yield SeenFrame(row, tuple(views))
+                posed["tips"] = project_visible(camera, apply(seen, instrument.ends(joints)))
+                silhouette = renderer.masks(seen[None], joints[None])[0]
+            found.append(TrackView(image, mask, silhouette, (camera.width, camera.height), **posed))
+        return tuple(found)
 
 
 def _size_of_views(rig: Rig) -> tuple[int, int]:
@@ -86,7 +83,9 @@ def write_outputs(arm: TrackedArm) -> None:
             writer = opened.enter_context(whole_video(arm.out / VIDEO, _size_of_views(rig), arm.frames_a_second))
         if settings.rerun is not None:
             log = opened.enter_context(rerun_file(settings.rerun, rig, instrument, name))
-        for number, (row, views) in enumerate(_seen_frames(arm)):
+        drawn = _Drawn(arm)
+        for number, row in enumerate(rows):
+            views = drawn.views(number)
             if writer is not None:
                 writer.write(draw_track(views, frame=row["frame"], status=row["status"], reasons=row["reasons"]))
             if page is not None:
@@ -100,13 +99,16 @@ def write_outputs(arm: TrackedArm) -> None:
 
 def write_track_arms(out: Path, arms: Mapping[str, TrackedArm]) -> None:
     """Write OUT/tracks.mp4 of arms that were followed; errors as of `write_outputs`."""
-    first = next(iter(arms.values()))
-    rig, seen = first.session.rig, {name: _seen_frames(arm) for name, arm in arms.items()}
-    with whole_video(out / VIDEO, _size_of_views(rig), first.frames_a_second) as writer:
-        for frame, shown in _together(seen):
-            statuses = {arm: str(seen_frame.row["status"]) for arm, seen_frame in shown.items()}
-            views = [{arm: seen_frame.views[k] for arm, seen_frame in shown.items()} for k in range(len(rig.views))]
-            writer.write(draw_track_of_arms(views, frame=frame, statuses=statuses, order=_from_far(shown)))
+    first, drawn = next(iter(arms.values())), {name: _Drawn(arm) for name, arm in arms.items()}
+    rows = {name: {row["frame"]: (k, row) for k, row in enumerate(arm.rows)} for name, arm in arms.items()}
+    with whole_video(out / VIDEO, _size_of_views(first.session.rig), first.frames_a_second) as writer:
+        for frame in sorted(set().union(*rows.values()), key=natural):
+            there = {name: of_arm[frame] for name, of_arm in rows.items() if frame in of_arm}
+            shown = {name: drawn[name].views(k) for name, (k, _) in there.items()}
+            views = [dict(zip(shown, of_arms, strict=True)) for of_arms in zip(*shown.values(), strict=True)]
+            statuses = {name: row["status"] for name, (_, row) in there.items()}
+            order = sorted(there, key=lambda name: _distance(there[name][1]), reverse=True)
+            writer.write(draw_track_of_arms(views, frame=frame, statuses=statuses, order=order))
 
 
 def exchanged_while_followed(arms: Mapping[str, TrackedArm]) -> list[str]:
@@ -119,21 +121,7 @@ def exchanged_while_followed(arms: Mapping[str, TrackedArm]) -> list[str]:
     return exchanged_arms(found, followed=True)
 
 
-def _together(seen: Mapping[str, Iterator[SeenFrame]]) -> Iterator[tuple[str, dict[str, SeenFrame]]]:
-    """Yield the names of the frames in order, with the arms that have them."""
-    waiting = {arm: next(frames, None) for arm, frames in seen.items()}
-    while any(waiting.values()):
-        frame = min(str(seen_frame.row["frame"]) for seen_frame in waiting.values() if seen_frame is not None)
-        arms = {arm: each for arm, each in waiting.items() if each is not None and each.row["frame"] == frame}
-        yield frame, arms
-        waiting |= {arm: next(seen[arm], None) for arm in arms}
-
-
-def _from_far(arms: Mapping[str, SeenFrame]) -> Sequence[str]:
-    """Return the arms from that whose root is farthest from the camera to the nearest, those without a pose first."""
-
-    def distance(arm: str) -> float:
-        pose = arms[arm].row["camera_from_root"]
-        return np.inf if pose is None else float(np.linalg.norm(np.array(pose)[:3, 3]))
-
-    return sorted(arms, key=distance, reverse=True)
+def _distance(row: Mapping[str, Any]) -> float:
+    """Return the distance of a row's root from the camera, m; infinite without a pose."""
+    pose = row["camera_from_root"]
+    return np.inf if pose is None else float(np.linalg.norm(np.array(pose)[:3, 3]))

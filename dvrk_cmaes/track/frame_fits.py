@@ -176,26 +176,20 @@ _PREDICTED = 0.6  # intersection over union of a mask and a predicted silhouette
 def learn_task(
     body: Body,
     config: EstimateConfig,
-    task: tuple[Callable[[], FrameData | None], Posed, Mapping[str, Bool] | None],
+    task: tuple[Callable[[], FrameData | None], Posed, Mapping[str, Bool]],
 ) -> dict[str, ColourModel]:
-    """Learn the colours about the silhouette of a known pose, by name of the view.
+    """Learn the colours about masks that overlap the silhouette of a predicted pose well enough, by name of the view.
 
-    A task has the function that reads a frame's images, and where the instrument is in them. Where that is only
-    predicted, it has the masks (H, W), by view, that were found in them: colours are learned about a mask, if that
-    overlaps the silhouette well enough.
+    A task has the function that reads a frame's images, where the instrument is predicted in them, and the masks
+    (H, W), by view, that were found in them.
     """
     read, at, masks = task
     data, found = read(), {}
     for view in () if data is None else with_outside(data).views:
-        if view.image is None:
+        mask = masks.get(view.name)
+        if view.image is None or mask is None or overlap_of(silhouette_of(at, view, body), mask) < _PREDICTED:
             continue
-        shown = silhouette_of(at, view, body)
-        if masks is not None:
-            mask = masks.get(view.name, np.zeros_like(shown))
-            if overlap_of(shown, mask) < _PREDICTED:
-                continue
-            shown = mask
-        model = learned_colours(view.image, shown, view.ignore)
+        model = learned_colours(view.image, mask, view.ignore)
         if model is not None:
             found[view.name] = model
     return found

@@ -49,25 +49,31 @@ _TIME_UNITS = 8.0  # of the whole recording
 
 @dataclass(frozen=True)
 class MaskShape:
-    """Area of a mask, px, and the share of its contour that lies on the image's border."""
+    """Area of a mask, px, the share of its contour that lies on the image's border, and its centre, px."""
 
     area: float
     on_border: float
+    centre: tuple[float, float]
 
     @classmethod
     def of(cls, mask: Bool) -> MaskShape:
         """Measure a mask (H, W)."""
-        area = int(np.count_nonzero(mask))
-        if not area:
-            return cls(0.0, 1.0)
-        border = sum(int(np.count_nonzero(side)) for side in (mask[0], mask[-1], mask[:, 0], mask[:, -1]))
         pixels = np.ascontiguousarray(mask).view(np.uint8)
+        moments = cv2.moments(pixels, binaryImage=True)
+        area = moments["m00"]
+        if not area:
+            return NOTHING
+        border = sum(int(np.count_nonzero(side)) for side in (mask[0], mask[-1], mask[:, 0], mask[:, -1]))
         inner = cv2.erode(pixels, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
         inside = area - int(np.count_nonzero(inner))
-        return cls(float(area), border / max(border + inside, 1))
+        return cls(area, border / max(border + inside, 1), (moments["m10"] / area, moments["m01"] / area))
 
 
-def well_in_view(shapes: list[MaskShape]) -> Bool:
+NOTHING: Final = MaskShape(0.0, 1.0, (np.nan, np.nan))
+"""The shape of an empty mask."""
+
+
+def well_in_view(shapes: Sequence[MaskShape]) -> Bool:
     """Return which of N frames (N,) show enough of the instrument, not mostly cut by the image's border."""
     area = np.array([shape.area for shape in shapes])
     if not area.any():
