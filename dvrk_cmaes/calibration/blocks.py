@@ -73,8 +73,8 @@ class Block:
 class PredictedBlock(Block, ABC):
     """A block that changes what is predicted of the frames."""
 
-    def change(self, value: Any) -> Float64 | None:
-        """Return the changes (N, 6 + J) of the predictions by a value; None where the model knows them."""
+    def change(self, model: SessionModel, calibration: Calibration) -> Float64 | None:
+        """Return the changes (N, 6 + J) of the predictions by the block; None where the model knows them."""
         return None
 
     @abstractmethod

@@ -31,7 +31,7 @@ from dvrk_cmaes.calibration.session_frame import (
 )
 from dvrk_cmaes.calibration.session_problem import LEAST_FRAMES, ArmSession, ArmSetup
 from dvrk_cmaes.calibration.session_rig import rotations_of_session, turns_of
-from dvrk_cmaes.calibration.solve import FrameFits, frame_covariances, leave_one_out
+from dvrk_cmaes.calibration.solve import frame_covariances, leave_one_out
 from dvrk_cmaes.calibration.together import Begun, Outcome, solved_alone
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.errors import InputError
@@ -188,8 +188,8 @@ def _stated(
     frames = tuple(name for name in names if name not in left_out)
     used = [results[name] for name in frames]
     qualities = [one.quality for one in used if one.quality is not None]
-    endoscope = _endoscope(arm, check)
-    described = describe_solution(arm.model, arm.solution, check.covariance, settings)
+    endoscope = _endoscope(arm)
+    described = describe_solution(arm.model, arm.solution, arm.of_camera_and_masks, settings)
     described["undetermined"] += _undetermined(arm, endoscope, commanded)
     return SessionCalibration(
         instrument=instrument.name,
@@ -238,16 +238,15 @@ def _remarks(arm: ArmSession, used: Sequence[Result], commanded: Sequence[str]) 
     )
 
 
-def _endoscope(arm: ArmSession, check: CameraCheck) -> SessionEndoscope | None:
+def _endoscope(arm: ArmSession) -> SessionEndoscope | None:
     """Return what a session shows of an endoscope that moves; None of one that stands still."""
-    given_camera = replace(arm.solution, of_masks=None).covariance
     return SessionEndoscope.of(
         arm.model,
         arm.solution.calibration,
-        given_camera,
+        arm.solution.covariance,
         [frame.name for frame in arm.frames],
         [frame.time for frame in arm.frames],
-        arm.solution.covariance - given_camera + check.covariance,
+        arm.of_camera_and_masks,
     )
 
 
@@ -330,8 +329,7 @@ def reported(arm: ArmSession, camera_errors: Float64) -> tuple[list[FrameReport]
     arm.check_agreement(disagreements)
     named = zip(arm.frames, disagreements, strict=True)
     reasons = {**arm.left_out, **{frame.name: text for frame, text in named if text}}
-    # what the margin of all masks does to a frame is stated with what it does to its own mask
-    covariances = frame_covariances(model, FrameFits.of(arm.fits), replace(solution, of_masks=None))
+    covariances = frame_covariances(model, arm.outlines(keep_all=True), solution)
     bases, tasks = model.base_from_root(solution.calibration.offsets), []
     stated = {**setup.config.as_dict(), "instrument": setup.instrument.describe_limits(setup.arm)}
     for i, (frame, result, disagreement) in enumerate(zip(arm.frames, _results(arm), disagreements, strict=True)):

@@ -363,17 +363,17 @@ class SessionCalibration:
 
 
 def describe_solution(
-    model: SessionModel, solution: Solved, of_camera: Float64, config: EstimateConfig
+    model: SessionModel, solution: Solved, further: Float64, config: EstimateConfig
 ) -> dict[str, Any]:
     """Return the parts of a solution as fields of a `SessionCalibration`.
 
-    ``of_camera`` (K, K) is the mean square of the solution's errors that errors of the camera file cause.
+    ``further`` (K, K) is the mean square of the solution's errors that errors of the camera and of all masks cause.
     """
     names = (*OUTER_OFFSETS, *model.names)
     deviations, own = model.deviations, slice(len(BASE_AXES) + len(names))
     # those who expect images of the session add what errors of all masks do to what is seen there
-    given_camera = replace(solution, of_masks=None).covariance[own, own]
-    covariance = (solution.covariance + of_camera)[own, own]
+    given_camera = solution.covariance[own, own]
+    covariance = given_camera + further[own, own]
     std = np.sqrt(np.diag(covariance))
     # from frame to frame, for those who correct by the offsets only
     corrected = np.concatenate([deviations.outer[3:], deviations.joints])

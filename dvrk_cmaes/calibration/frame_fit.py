@@ -8,7 +8,6 @@ from typing import Final, Literal
 
 import numpy as np
 
-from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Mode
 from dvrk_cmaes.config import EstimateConfig, OutlineConfig
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
 from dvrk_cmaes.geometry import Bool, Float64, Posed, moved
@@ -352,36 +351,20 @@ _SETTLED = 0.15  # standard deviations per parameter; a frame whose fit would mo
 _NEAR = 3.0  # standard deviations per parameter; a fit that would move by less starts from where it would move to
 
 
-def first_starts(
-    modes: Sequence[Mode], chosen: Mode, misfit: float, expected: Expected, turn: float
+def starts_of(
+    before: Sequence[Posed], expected: Expected, turn: float, *, agrees: bool, fit: FrameFit | None = None
 ) -> tuple[Posed, ...]:
-    """Return the starts of a frame's first fit.
+    """Return the starts of a frame's fit; none if it is settled.
 
-    A frame that agrees with the session starts from its ``chosen`` mode, any other from all of its ``modes``, from what
-    the session expects, and from that rotated about the shaft by ``turn``, rad, to both sides. ``misfit`` is the
-    squared Mahalanobis distance of the chosen mode from what is expected, divided by the number of parameters.
+    A frame that ``agrees`` with the session starts from the first of the poses ``before``, or from where its ``fit``
+    would move to, if that is near. Any other starts from all of these, from what the session expects, and from that
+    rotated about the shaft by ``turn``, rad, to both sides.
     """
-    if misfit < INLIER_MISFIT:
-        return (chosen.at,)
-    return (*(mode.at for mode in modes), *_around(expected, turn))
-
-
-def next_starts(
-    fit: FrameFit, misfit: float, expected: Expected, turn: float, changed: Posed | None = None
-) -> tuple[Posed, ...]:
-    """Return the starts of a frame that was fitted before; none if the fit is settled.
-
-    A fit that agrees with the session starts from where it would move to, if that is near. Any other starts from where
-    it is and from what the session expects, and from that rotated about the shaft by ``turn``, rad, to both sides.
-    ``misfit`` is as in `first_starts`, of the outline that was fitted. ``changed`` is where the fit moves to with
-    another camera, or masks less their margin, if these have changed.
-    """
-    clear = misfit < INLIER_MISFIT
-    if changed is not None:
-        return (changed,) if clear else (changed, *_around(expected, turn))
-    step = fit.step_to(expected)
-    if not clear or step >= _NEAR:
-        return (fit.at, *_around(expected, turn))
+    step = 0.0 if fit is None else fit.step_to(expected)
+    if not agrees or step >= _NEAR:
+        return (*before, *_around(expected, turn))
+    if fit is None:
+        return (before[0],)
     return () if step < _SETTLED else (fit.moved_to(expected).at,)
 
 

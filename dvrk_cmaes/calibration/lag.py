@@ -12,9 +12,10 @@ error counts in all that is stated (`SessionLag.change_of_predictions`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple
+from functools import partial
+from typing import Final
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from dvrk_cmaes.calibration.blocks import Calibration, PredictedBlock
 from dvrk_cmaes.calibration.consensus import Consensus, Mode, choose_modes, find_consensus
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import SessionModel
-from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, solve
+from dvrk_cmaes.calibration.solve import FrameFits, solve
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
@@ -74,9 +75,8 @@ _OF_A_LAG, _OF_NONE = 0.5, 0.7  # of that, least standard deviation of a lag, an
 _UNDETERMINED, _UNKNOWN = 2.0, 3.0  # frames, least and largest standard deviation of a lag that is not determined
 # refinement
 _SHARED_ERRORS = 2.0  # factor on the standard deviation: the frames of a recording share errors of masks and readings
-_LINEARISATIONS = 10
 _DIFFERENCE = 0.25  # by which readings are shifted for derivatives, in steps of the search
-_SETTLED, _SETTLING = 0.01, 0.45  # steps of the search, by which a refined value still changes, and by which at most
+_NEAR = 2.0  # steps of the search, by which a refined value is at most from that of the search
 _APART = 1.8  # times the least misfit, at least, between minima that are no flat one
 # decision
 _SIGNIFICANT = 2.0  # standard deviations
@@ -86,19 +86,25 @@ _AGREE = 3.0  # standard deviations of each lag, within which those of several a
 
 
 class LagBlock(PredictedBlock):
-    """A lag (1,), in the unit of the frames' times, whose ``effect`` (N, 6 + J) is linearised ``at`` a value."""
+    """A lag (1,), in the unit of the frames' times, by the model of the frames' readings ``at`` it.
 
-    def __init__(self, std: float, effect: Float64, at: float) -> None:
+    Derivatives are differences of what is predicted a ``step`` before and after.
+    """
+
+    def __init__(self, std: float, at: Callable[[float], SessionModel], step: float) -> None:
         super().__init__(LAG, np.array([std]), (LAG,))
-        self._effect, self._at = effect, at
+        self._at, self._step = at, step
 
-    def change(self, value: Any) -> Float64:
-        """Return the changes of the predictions by a lag."""
-        return np.asarray(self._effect * (value - self._at))
+    def change(self, model: SessionModel, calibration: Calibration) -> Float64:
+        """Return the changes of the predictions by the lag."""
+        alone = calibration.without(LAG)
+        return self._at(calibration.values[LAG].item()).predict(alone).minus(model.predict(alone))
 
     def derivative(self, model: SessionModel, calibration: Calibration) -> Float64:
         """Return the changes of the predictions by those of the readings."""
-        return self._effect[:, :, None]
+        alone, value = calibration.without(LAG), calibration.values[LAG].item()
+        later, earlier = (self._at(value + by).predict(alone) for by in (self._step, -self._step))
+        return later.minus(earlier)[:, :, None] / (2 * self._step)
 
 
 @dataclass(frozen=True)
@@ -164,11 +170,33 @@ class LagCurve(Document):
         return allowed * (_OF_A_LAG if applied else _OF_NONE)
 
 
-class Refined(NamedTuple):
-    """A lag in the unit of the readings' times, and its standard deviation."""
+def lag_taken_out(
+    lag: Lag | None, curve: LagCurve | None, unit: Unit, frames: int, unknown: float
+) -> tuple[float, float] | None:
+    """Return the lag that is taken out of readings, and its standard deviation; None if nothing shows one.
 
-    value: float
-    std: float
+    Where it is not determined, none is taken out, and the curve of disagreement says how large it may be. Where the
+    curve is flat, as with few frames, the standard deviation is larger than that of the least disagreement: errors that
+    frames share displace that, or make a lag where there is none.
+
+    Parameters
+    ----------
+    lag, curve
+        What is found of the lag, and the disagreement of the frames.
+    unit
+        Unit of the result.
+    frames
+        Number of frames by which it was found.
+    unknown
+        Standard deviation of the lag beforehand.
+    """
+    curve = curve if curve is not None and curve.unit == unit and len(curve.lags) > 1 else None
+    found, std = (None, None) if lag is None else lag.known_in(unit)
+    if lag is None or found is None:
+        return None if curve is None else (0.0, curve.root_mean_square(frames, unknown))
+    value = found if lag.applied else 0.0
+    least = 0.0 if curve is None else curve.least_std(frames, unknown, value, applied=lag.applied)
+    return value, max(std or 0.0, least)
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,7 +358,7 @@ class SessionLag:
 
     # what is known of the lag
 
-    def with_estimate(self, found: Refined | None) -> SessionLag:
+    def with_estimate(self, found: tuple[float, float] | None) -> SessionLag:
         """Return a lag that was estimated, to be taken out if it is significant, or why it is not determined."""
         if found is None:
             text = "the frames' disagreement has no minimum there, or too few frames have readings"
@@ -346,10 +374,8 @@ class SessionLag:
     @property
     def known(self) -> tuple[float, float] | None:
         """The lag and its standard deviation in the unit of the series; None where it is not determined."""
-        if self.lag is None or self.series is None:
-            return None
-        std = self.lag.std_seconds if self.series.unit == "s" else self.lag.std_frames
-        return None if std is None else (self.lag.in_unit(self.series.unit), std)
+        value, std = (None, None) if self.lag is None or self.series is None else self.lag.known_in(self.series.unit)
+        return None if value is None or std is None else (value, std)
 
     def change_of_predictions(self, model: SessionModel, calibration: Calibration) -> Float64:
         """Return the changes (N, D) of what is predicted of the frames, by one standard deviation of the lag.
@@ -361,14 +387,11 @@ class SessionLag:
         none = np.zeros((len(model.outer), 6 + len(model.names)))
         if not self.interpolable:
             return none
-        series, count = self._known, len(self.times)
-        unknown, applied = _UNKNOWN * series.interval, self.applied is not None
-        if self.known is not None:
-            least = self.curve.least_std(count, unknown, self.value, applied=applied) if self.curve else 0.0
-            step = max(self.known[1], least)
-        else:
-            allowed = self.curve.root_mean_square(count, unknown) if self.curve and len(self.curve.lags) > 2 else 0.0
-            step = max(_UNDETERMINED * series.interval, allowed)
+        series = self._known
+        found = lag_taken_out(self.lag, self.curve, series.unit, len(self.times), _UNKNOWN * series.interval)
+        step = 0.0 if found is None else found[1]
+        if self.lag is None:
+            step = max(_UNDETERMINED * series.interval, step)
         ends = [self.model_at(model, self.value + by) for by in (step, -step)]
         later, earlier = (end.predict(calibration) for end in ends)
         change = later.minus(earlier) / 2
@@ -377,21 +400,16 @@ class SessionLag:
     # search by the frames' modes
 
     def searched(self, model: SessionModel, modes: Sequence[Sequence[Mode]]) -> SessionLag:
-        """Find the lag from the frames' own modes; arguments as in `find_consensus`."""
-        if not self.interpolable or self.fixed:
-            return self
-        found, best = self._search(model, modes)
-        return found if best is None else found.with_estimate(found._refined(model, modes, best))
-
-    def _search(self, model: SessionModel, modes: Sequence[Sequence[Mode]]) -> tuple[SessionLag, float | None]:
-        """Find the lag at which the frames' modes agree best; None with the reason where they do not determine it.
+        """Find the lag at which the frames' own modes agree best; arguments as in `find_consensus`.
 
         Where they agree at no lag of the usual range, the far range is searched too. The lag is not determined by too
         few frames, nor if the best lag is at the end of the range, or the frames agree at none.
         """
+        if not self.interpolable or self.fixed:
+            return self
         if len(modes) < _LEAST_FRAMES:
             text = f"{len(modes)} frames have a pose and readings, at least {_LEAST_FRAMES} are needed"
-            return replace(self, undetermined=text), None
+            return replace(self, undetermined=text)
         unit, step, ends = self._known.unit, self.step, tuple[float, ...]()
         low, high = RANGE[unit]
         lags, costs = self._costs(model, modes, low, high, step)
@@ -402,32 +420,30 @@ class SessionLag:
                 about, ends = float(coarse[far.argmin()]), (low, high)
                 near = max(low, about - _COARSE * step), min(high, about + _COARSE * step)
                 lags, costs = self._costs(model, modes, *near, step)
-        best = int(np.argmin(costs))
-        pairs = zip(lags.tolist(), costs.tolist(), strict=True)
-        found = replace(self, curve=LagCurve(unit, tuple((lag, cost) for lag, cost in pairs if np.isfinite(cost))))
-        if not np.isfinite(costs[best]):
-            return replace(found, undetermined="too few frames have readings at any lag"), None
+        best, finite = int(np.argmin(costs)), np.flatnonzero(np.isfinite(costs))
+        curve = LagCurve(unit, tuple(zip(lags[finite].tolist(), costs[finite].tolist(), strict=True)))
         at_end = min((abs(lags[best] - end) for end in ends), default=np.inf) < _COARSE * step
-        nowhere = (at_end or costs[best] > _DISAGREE) if ends else bool(costs[best] > _NOWHERE)
-        if nowhere:
+        nowhere = (at_end or costs[best] > _DISAGREE) if ends else bool(_NOWHERE < costs[best] < np.inf)
+        between = [costs[min(k, best) : max(k, best) + 1].max() for k in range(len(costs))]
+        alike = (costs < UNLIKELY * costs[best]) & (between > _APART * costs[best])
+        text = ""
+        if not len(finite):
+            text = "too few frames have readings at any lag"
+        elif nowhere:
             text = (
                 f"not determined in the range searched, {low:g} to {high:+g} {unit}: the frames agree at no lag in it; "
                 "it may lie beyond (take a first guess out by import --lag, or subtract it from image times)"
             )
-            return replace(found, undetermined=text, nowhere=True), None
-        if not ends and best in np.flatnonzero(np.isfinite(costs))[[0, -1]]:
+        elif not ends and best in finite[[0, -1]]:
             text = f"the frames agree best at the end of the range that was searched; {MOVE}"
-            return replace(found, undetermined=text), None
-        between = [costs[min(k, best) : max(k, best) + 1].max() for k in range(len(costs))]
-        alike = (costs < UNLIKELY * costs[best]) & (between > _APART * costs[best])
-        if alike.any():
+        elif alike.any():
             other = lags[np.argmin(np.where(alike, costs, np.inf))]
             text = (
                 f"the frames agree about as well at {lags[best]:.3g} and {other:.3g} {unit}, as in a motion that "
                 "repeats itself: --lag, if it is known, or a recording of another motion"
             )
-            return replace(found, undetermined=text), None
-        return found, float(lags[best])
+        found = replace(self, curve=curve, undetermined=text, nowhere=bool(nowhere))
+        return found if text else found.with_estimate(found._refined(model, modes, float(lags[best])))
 
     def _costs(
         self, model: SessionModel, modes: Sequence[Sequence[Mode]], low: float, high: float, step: float
@@ -446,49 +462,30 @@ class SessionLag:
         own = [modes[int(i)] for i in has]
         return find_consensus(self.model_to_compare(model, value).subset(has), own, **few)
 
-    def _refined(self, model: SessionModel, modes: Sequence[Sequence[Mode]], start: float) -> Refined | None:
+    def _refined(
+        self, model: SessionModel, modes: Sequence[Sequence[Mode]], start: float
+    ) -> tuple[float, float] | None:
         """Estimate the lag near that of the search with the calibration, by the modes that agree there.
 
-        None if too few frames have readings around it, or they agree best nowhere near.
+        Each frame counts as one, and its errors as independent of others. None if too few frames have readings around
+        it, or they agree best nowhere near.
         """
-        consensus, has = self._consensus(model, modes, start), np.flatnonzero(self.has_readings(start))
-        assert consensus is not None
+        consensus, near = self._consensus(model, modes, start), _NEAR * self.step
+        has = np.flatnonzero(self.has_readings(start - near) & self.has_readings(start + near))
+        if consensus is None or len(has) < _LEAST_AT_LAG:
+            return None
         has = has[np.argsort(self.times[has], kind="stable")]
-        chosen = choose_modes(
-            self.model_at(model, start).subset(has), [modes[int(i)] for i in has], consensus.calibration
-        )
-        of_these, fits, of_modes = self.subset(has), FrameFits.of_modes(chosen), model.subset(has)
-        calibration, value, solution, moved = consensus.calibration, start, None, 0.0
-        for _ in range(_LINEARISATIONS):
-            frames = of_these._linearised(ArmFrames(of_modes, fits, calibration), value)
-            if frames is None:
-                break
-            solution = solve(*frames)
-            calibration = solution.calibration
-            change = float(np.clip(calibration.values[LAG][0] - value, -self.step / 2, self.step / 2))
-            value, moved = value + change, abs(change) / self.step
-            if moved < _SETTLED:
-                break
-        if solution is None or moved > _SETTLING:
+        own, model = self.subset(has), model.subset(has)
+        chosen = choose_modes(own.model_at(model, start), [modes[int(i)] for i in has], consensus.calibration)
+        least = FARTHEST[self._known.unit] / _SHARED_ERRORS
+        block = LagBlock(least, partial(own.model_to_compare, model), _DIFFERENCE * self.step)
+        begun = consensus.calibration.with_blocks(block, **{LAG: np.array([start])})
+        solution = solve(own.model_to_compare(model, start), FrameFits.of_modes(chosen), begun)
+        place, value = begun.place(LAG), solution.calibration.values[LAG].item()
+        if not abs(value - start) < near - _DIFFERENCE * self.step:
             return None
-        place = calibration.place(LAG)
         alone = _SHARED_ERRORS**2 * np.linalg.inv(solution.information)[place, place]
-        return Refined(value, float(np.sqrt(max(alone.item(), solution.covariance[place, place].item()))))
-
-    def _linearised(self, frames: ArmFrames, value: float) -> ArmFrames | None:
-        """Return frames with what is predicted of them linearised at a lag, which changes by at most half a step.
-
-        None if too few frames have readings there. Each frame counts as one, and its errors as independent of others.
-        """
-        has = np.flatnonzero(self.has_readings(value - self.step) & self.has_readings(value + self.step))
-        if len(has) < _LEAST_AT_LAG:
-            return None
-        of_these, model, fits = self.subset(has), frames.model.subset(has), frames.fits.subset(has)
-        alone, by = frames.calibration.without(LAG), _DIFFERENCE * self.step
-        later, earlier = (of_these.model_to_compare(model, value + step).predict(alone) for step in (by, -by))
-        block = LagBlock(FARTHEST[self._known.unit] / _SHARED_ERRORS, later.minus(earlier) / (2 * by), value)
-        known = frames.calibration.with_blocks(block, **{LAG: np.array([value])})
-        return ArmFrames(of_these.model_to_compare(model, value), fits, known)
+        return value, float(np.sqrt(max(alone.item(), solution.covariance[place, place].item())))
 
 
 def in_common(lags: Sequence[SessionLag]) -> list[SessionLag]:
@@ -504,7 +501,7 @@ def in_common(lags: Sequence[SessionLag]) -> list[SessionLag]:
     values, stds = found.T
     weights = stds**-2.0
     mean = float(weights @ values / weights.sum())
-    shared = [lag.with_estimate(Refined(mean, float(weights.sum() ** -0.5))) for lag in lags]
+    shared = [lag.with_estimate((mean, float(weights.sum() ** -0.5))) for lag in lags]
     agree = (np.abs(values - mean) <= _AGREE * stds).all()
     usable = all(lag.lag is not None and lag.has_readings(lag.value).sum() >= _LEAST_AT_LAG for lag in shared)
     return shared if agree and usable else list(lags)

@@ -17,9 +17,10 @@ from dvrk_cmaes.calibration.blocks import Calibration, OutlineOfView, SeenBlock,
 from dvrk_cmaes.calibration.frame_fit import SIDES_IN_SESSION, with_noise
 from dvrk_cmaes.calibration.model import CommonErrors, SessionModel
 from dvrk_cmaes.calibration.session_frame import Run, StoredFrame
-from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, Solved, Solver, marginalise
+from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, Solved, marginalise
+from dvrk_cmaes.calibration.variances import solve_with_variances
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.pose.terms.coverage import Coverage
 from dvrk_cmaes.pose.terms.shared_errors import SIDES, without_last
@@ -27,6 +28,7 @@ from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.silhouette import Body, OutlinePoints
 
+_STEPS = 10  # largest number of Gauss-Newton steps between two estimates of the variances
 _SETTLED = 0.25  # standard deviations of the blocks, below which the outlines are not linearised again
 NAMED = 2.5
 """Standard deviations from the value of a file, above which one of several unknowns is named."""
@@ -201,7 +203,7 @@ class Linearised:
 
 def linearise(
     arms: Sequence[ArmOutlines],
-    solver: Solver,
+    config: SessionConfig,
     names: Sequence[str],
     *,
     passes: int,
@@ -213,8 +215,8 @@ def linearise(
     ----------
     arms
         The frames of each arm, and their outlines.
-    solver
-        What estimates the calibrations from linearised outlines.
+    config
+        Settings of the variance components, which are estimated with the blocks.
     names
         Names of the blocks that have to settle.
     passes
@@ -231,7 +233,8 @@ def linearise(
     asked = [tuple(one for one in arm.blocks if one.name in names) for arm in arms]
     for _ in range(passes):
         fits = [arm.linearised() for arm in arms] if fits is None else fits
-        models, solutions = solver([ArmFrames(a.model, f, a.calibration) for a, f in zip(arms, fits, strict=True)])
+        frames = [ArmFrames(arm.model, own, arm.calibration) for arm, own in zip(arms, fits, strict=True)]
+        models, solutions = solve_with_variances(frames, config, steps=_STEPS)
         last = list(map(Linearised, models, solutions, fits, asked))
         if all(one.settled for one in last) or not all(one.plausible for one in last):
             break

@@ -189,7 +189,7 @@ class SessionModel:
         poses = self.camera_from_base(calibration) @ self.base_from_root(calibration.offsets)
         at = Posed(np.asarray(poses), read + calibration.offsets[2:] + self.correction.values[:, 1:])
         for block in calibration.predicted:
-            if (change := block.change(calibration.values[block.name])) is not None:
+            if (change := block.change(self, calibration)) is not None:
                 at = at.moved(change)
         return at
 

@@ -12,6 +12,7 @@ import numpy as np
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Endoscope
 from dvrk_cmaes.calibration.frame_fit import OF_NEW_FRAME, FrameFit, OwnEstimate, fit_frame
+from dvrk_cmaes.calibration.lag import lag_taken_out
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_masks import covariance_of_margin
 from dvrk_cmaes.config import EstimateConfig
@@ -175,25 +176,11 @@ class FoundLag(NamedTuple):
 
 
 def lag_of(calibration: SessionCalibration, unknown: float) -> FoundLag | None:
-    """Return the lag that is taken out of the readings, and its standard deviation; None if nothing shows one.
-
-    Where it is not determined, none is taken out, and the curve of disagreement says how large it may be;
-    ``unknown`` is the standard deviation, s, beforehand. Where the curve is flat, as with few keyframes, the standard
-    deviation is larger than that of the least disagreement: errors that keyframes share displace that, or make a lag
-    where there is none.
-    """
-    found, curve = calibration.lag, calibration.lag_curve
-    curve = curve if curve is not None and curve.unit == "s" and len(curve.lags) > 1 else None
-    if found is None or found.seconds is None:
-        return None if curve is None else FoundLag(0.0, curve.root_mean_square(len(calibration.frames), unknown))
-    interval = found.seconds / found.frames if found.frames else 0.0
-    std = found.std_seconds if found.std_seconds is not None else (found.std_frames or 0.0) * interval
-    value = found.seconds if found.applied else 0.0
-    if not found.applied:
-        std = max(std, abs(found.seconds))
-    if curve is not None:
-        std = max(std, curve.least_std(len(calibration.frames), unknown, value, applied=found.applied))
-    return FoundLag(value, std)
+    """Return the lag that is taken out of the readings, s, as `lag_taken_out`; one that is not taken out is an error."""
+    lag = calibration.lag
+    found = lag_taken_out(lag, calibration.lag_curve, "s", len(calibration.frames), unknown)
+    left = 0.0 if lag is None or lag.applied else abs(lag.seconds or 0.0)
+    return None if found is None else FoundLag(found[0], max(found[1], left))
 
 
 def lag_and_std(calibration: SessionCalibration, unknown: float) -> FoundLag:

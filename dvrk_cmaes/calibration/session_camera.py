@@ -11,7 +11,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -27,8 +26,7 @@ from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.session_frame import changed
 from dvrk_cmaes.calibration.session_masks import MarginEffect
 from dvrk_cmaes.calibration.session_shaft import SIZES, found_sizes, square_of_whole, usual_sizes
-from dvrk_cmaes.calibration.solve import FrameFits, inverse_information
-from dvrk_cmaes.calibration.variances import solve_with_variances
+from dvrk_cmaes.calibration.solve import inverse_information
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.lens import COEFFICIENT_COUNTS
 from dvrk_cmaes.config import CameraConfig, EstimateConfig
@@ -49,7 +47,6 @@ _LENS_CAUSES: Final = "images that were stretched, --rectified with raw images o
 _WEAK_STD = np.array([0.3, 300.0, 300.0])  # of the change where it is estimated from the frames: relative, and px
 PLAUSIBLE = 2.0  # of these; linearised farther away, outlines leave the image
 _PASSES, _FILE_PASSES = 6, 3  # largest numbers of linearisations of the outlines, also where the file is a measurement
-_STEPS = 10  # largest number of Gauss-Newton steps between two estimates of the variances
 _LEAST_FRAMES, _MANY_FRAMES = 6, 10
 _LEAST_INSERTION = 5e-3  # m, range of the readings
 _CONTRADICTION = 16.27  # squared distance from no change, of 99.9 % with three unknowns
@@ -301,23 +298,6 @@ def errors_of_camera(check: CameraCheck, camera: Camera, config: CameraConfig) -
     return errors
 
 
-def estimate_camera(
-    arms: Sequence[ArmOutlines],
-    config: EstimateConfig,
-    *,
-    passes: int,
-    names: Sequence[str] = (CAMERA, SIZES),
-    first: Sequence[FrameFits] | None = None,
-) -> list[Linearised]:
-    """Estimate the change of the camera with the calibrations of a session's arms.
-
-    Arguments are as in `linearise`; the outlines are those of the reference camera, with the change among their blocks.
-    ``config`` has the settings of the variance components, which are estimated again with the change.
-    """
-    solver = partial(solve_with_variances, config=config.session, steps=_STEPS)
-    return linearise(arms, solver, names, passes=passes, first=first)
-
-
 def _stated(
     there: Linearised, blocks: Sequence[SeenBlock], known: Mapping[str, Float64], shared: float
 ) -> tuple[dict[str, FoundBlock], Float64]:
@@ -348,7 +328,7 @@ def check_camera(
     """Test the camera of a calibrated session; returns what each arm has of it.
 
     ``applied`` is the change (3,) of the camera with which the frames were fitted, with which the block starts; None if
-    they were fitted with the file's. The other arguments are as in `estimate_camera`. Where an estimate is not
+    they were fitted with the file's. Where an estimate is not
     plausible, only what the frames show at the camera of the file is left, which may contradict it or say nothing.
     """
     reasons = [_lacking(arm.model, _LEAST_FRAMES, "test") for arm in arms]
@@ -358,15 +338,15 @@ def check_camera(
     passes = _PASSES if reason is None and applied is None else 1
     try:
         begun = [arm.with_new_blocks().linearised() for arm in arms]
-        found = estimate_camera(arms, config, passes=passes, first=begun)
+        found = linearise(arms, config.session, (CAMERA, SIZES), passes=passes, first=begun)
         if far := passes > 1 and not all(one.plausible for one in found):
-            found = estimate_camera(arms, config, passes=1, first=begun)
+            found = linearise(arms, config.session, (CAMERA, SIZES), passes=1, first=begun)
         first = found
         if reason != _NOT_ASKED and applied is None:
             file = CameraChange(file_deviations(arms[0].camera, config.camera))
             blocks = [tuple(file if one.name == CAMERA else one for one in arm.blocks) for arm in arms]
             by_file = [replace(arm, blocks=own) for arm, own in zip(arms, blocks, strict=True)]
-            first = estimate_camera(by_file, config, passes=_FILE_PASSES, names=(SIZES,), first=begun)
+            first = linearise(by_file, config.session, (SIZES,), passes=_FILE_PASSES, first=begun)
     except InputError as error:
         return [CameraCheck(None, f"camera: {error}", np.zeros((arm.calibration.alone().own,) * 2)) for arm in arms]
     each = zip(found, first, arms, strict=True)

@@ -15,7 +15,8 @@ from scipy.special import softmax
 
 from dvrk_cmaes.calibration.blocks import Calibration, OutlineOfView, SeenBlock, ViewAsSeen
 from dvrk_cmaes.calibration.linearise import ArmOutlines, Linearised, linearise
-from dvrk_cmaes.calibration.solve import marginalise, solve_unchanged
+from dvrk_cmaes.calibration.solve import marginalise
+from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Number, refused
@@ -140,14 +141,16 @@ class SessionMasks(Document):
         return f"masks are {abs(self.margin_px):.2f} px (std {self.std_margin_px:.2f}) too {than} all round; {done}"
 
 
-def estimate_margin(arms: Sequence[ArmOutlines]) -> tuple[SessionMasks, list[tuple[Calibration, Posed]]]:
+def estimate_margin(
+    arms: Sequence[ArmOutlines], config: SessionConfig
+) -> tuple[SessionMasks, list[tuple[Calibration, Posed]]]:
     """Estimate the margin of the masks beside the calibrations and the camera, whose file counts as a measurement.
 
     Arguments are as in `linearise`; the outlines are those of one view, with the margin among their blocks. Also
     returns the calibration and the poses (N) of each arm with masks less the margin and the camera of the file: a
     change of the camera that is estimated beside the margin is not used.
     """
-    there, moved = linearise(arms, solve_unchanged, [MARGIN], passes=_PASSES), []
+    there, moved = linearise(arms, config, [MARGIN], passes=_PASSES), []
     place, camera = there[0].solution.calibration.place(MARGIN), arms[0].camera
     shown, spread = there[0].with_std({MARGIN: _FREE})
     alone, square = shown[place].item(), spread[place, place].item() + _LEAST_STD**2

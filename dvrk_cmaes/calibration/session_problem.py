@@ -16,6 +16,7 @@ import numpy as np
 from dvrk_cmaes.calibration.blocks import Calibration, SeenBlock
 from dvrk_cmaes.calibration.cables import MARGIN, CableFit, estimate_cables
 from dvrk_cmaes.calibration.consensus import (
+    INLIER_MISFIT,
     Consensus,
     Mode,
     check_arm,
@@ -24,9 +25,9 @@ from dvrk_cmaes.calibration.consensus import (
     find_consensus_at_any_roll,
 )
 from dvrk_cmaes.calibration.endoscope_search import describe_pieces, find_pieces
-from dvrk_cmaes.calibration.frame_fit import FrameFit, first_starts, next_starts
+from dvrk_cmaes.calibration.frame_fit import FrameFit, starts_of
 from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, SessionLag
-from dvrk_cmaes.calibration.linearise import ArmOutlines
+from dvrk_cmaes.calibration.linearise import ArmOutlines, linearise
 from dvrk_cmaes.calibration.model import CommonErrors, Deviations, SessionModel, frames_alike
 from dvrk_cmaes.calibration.session_camera import (
     CAMERA,
@@ -36,7 +37,6 @@ from dvrk_cmaes.calibration.session_camera import (
     Lens,
     camera_undetermined,
     check_camera,
-    estimate_camera,
     file_deviations,
 )
 from dvrk_cmaes.calibration.session_frame import Run, SessionFrame, StoredFrame, fit_task, gather_task
@@ -197,6 +197,15 @@ class ArmSession:
     def taken_off(self) -> float:
         """Margin, px, that is taken off all masks."""
         return 0.0 if self.masks is None else self.masks.taken_off
+
+    @property
+    def of_camera_and_masks(self) -> Float64:
+        """Mean square (K, K) of the calibration's errors that errors of the camera and of all masks cause."""
+        assert self.check is not None
+        by_margin = () if self.masks is None else self.masks.by_margin
+        if self.masks is None or not by_margin:
+            return self.check.covariance
+        return np.asarray(self.check.covariance + self.masks.square * np.outer(by_margin, by_margin))
 
     @property
     def common(self) -> CommonErrors:
@@ -367,15 +376,19 @@ def _fitted_in(arm: ArmSession, scale: float, *, last: bool) -> ArmSession:
     """
     angle = float(np.deg2rad(arm.setup.config.session.turn_deg))
     expected = arm.model.priors(arm.calibration, scale=scale)
-    misfit, starts = arm.solution.misfit / (6 + len(arm.model.names)), list[tuple[Posed, ...]]()
+    agrees, starts = arm.solution.misfit / (6 + len(arm.model.names)) < INLIER_MISFIT, list[tuple[Posed, ...]]()
     if not arm.fits:
         chosen = choose_modes(arm.model, arm.modes, arm.solution.calibration)
-        pairs = zip(arm.modes, chosen, misfit, expected, strict=True)
-        starts = [first_starts(*of_frame, angle) for of_frame in pairs]
-    for i, fit in enumerate(arm.fits):
-        own = float(misfit[i]) if fit.explains_mask else np.inf
-        moved = None if arm.moved is None else arm.moved[i]
-        starts.append(next_starts(fit, own, expected[i], angle, moved))
+    for i, (prior, clear) in enumerate(zip(expected, agrees.tolist(), strict=True)):
+        if not arm.fits:
+            before, fit = (chosen[i].at,) if clear else tuple(mode.at for mode in arm.modes[i]), None
+        else:
+            fit = None if arm.moved is not None else arm.fits[i]
+            before, clear = (
+                (arm.fits[i].at if arm.moved is None else arm.moved[i],),
+                clear and arm.fits[i].explains_mask,
+            )
+        starts.append(starts_of(before, prior, angle, agrees=clear, fit=fit))
     again = [i for i, of_frame in enumerate(starts) if of_frame]
     tasks = [(arm.stored[i], expected[i], starts[i], arm.change, arm.taken_off) for i in again]
     fits = {i: fit.moved_to(expected[i]) if last else fit for i, fit in enumerate(arm.fits)}
@@ -434,7 +447,7 @@ def _with_camera(arms: Arms) -> Arms:
     out = list(arms)
     for group in _by_camera(arms):
         seen = [arms[k].outlined() for k in group]
-        estimates = estimate_camera(seen, arms[group[0]].setup.config, passes=_CAMERA_PASSES)
+        estimates = linearise(seen, arms[group[0]].setup.config.session, [CAMERA], passes=_CAMERA_PASSES)
         found = all(estimate.plausible for estimate in estimates)
         for k, own in zip(group, estimates, strict=True):
             out[k] = replace(arms[k], camera_found=found)
@@ -449,7 +462,7 @@ def _with_margin(arms: Arms) -> Arms:
     out = list(arms)
     for group in _by_camera(arms):
         seen = [arms[k].outlined(file_is_prior=True) for k in group]
-        masks, without = estimate_margin(seen)
+        masks, without = estimate_margin(seen, arms[group[0]].setup.config.session)
         for k, (own, moved) in zip(group, without, strict=True):
             out[k] = replace(arms[k], masks=masks, start=own, moved=moved)
     return out
@@ -489,8 +502,7 @@ def _with_check(arm: ArmSession, check: CameraCheck) -> ArmSession:
     """Return an arm with what was found in the test of its camera, in words and in what it does to the solution."""
     if check.of_margin is not None:
         masks = check.of_margin.stated(arm.masks)
-        widened = replace(arm.solution, of_masks=masks.square * np.outer(masks.by_margin, masks.by_margin))
-        arm = replace(arm, found=widened, masks=masks)
+        arm = replace(arm, masks=masks)
     if check.camera is None:
         arm = arm.noted(undetermined=[check.undetermined])
     elif arm.setup.guessed_camera:

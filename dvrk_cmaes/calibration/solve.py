@@ -7,13 +7,12 @@ frames share, as of the camera. Frames with large misfits are down-weighted.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.blocks import Calibration
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes
@@ -41,35 +40,35 @@ class FrameFits:
     ``at`` are the N points of expansion. ``outlines`` (N, D + E) are the approximations for changes from there, D = 6 +
     J, and for changes of E further unknowns from the values of their blocks, ``seen``; most often there are none. The
     slope is zero at an outline's own optimum. ``by_lag`` (N, D) are the changes of what is predicted by one standard
-    deviation of the lag between images and readings; none by default. ``shares`` (N,) are the shares of one frame as
-    which each counts, because others err like it; 1 by default.
+    deviation of the lag between images and readings. ``shares`` (N,) are the shares of one frame as which each counts,
+    because others err like it.
     """
 
     at: Posed
     outlines: Quadratic
+    by_lag: Float64
+    shares: Float64
     seen: Mapping[str, Float64] = field(default_factory=dict)
-    by_lag: Float64 | None = None
-    shares: Float64 | float = 1.0
 
     @classmethod
     def of_modes(cls, modes: Sequence[Mode]) -> FrameFits:
         """Take one mode of each frame as a fit with zero slope and the inverse of the mode's covariance."""
         information = np.linalg.inv(np.array([mode.covariance for mode in modes]))
-        return cls(Posed.stacked(mode.at for mode in modes), Quadratic(information, np.zeros(information.shape[:2])))
+        none = np.zeros(information.shape[:2])
+        return cls(Posed.stacked(mode.at for mode in modes), Quadratic(information, none), none, np.ones(len(modes)))
 
     @classmethod
-    def of(cls, fits: Sequence[FrameFit], common: CommonErrors | None = None) -> FrameFits:
+    def of(cls, fits: Sequence[FrameFit], common: CommonErrors) -> FrameFits:
         """Stack the fits of single frames, with the errors that they share."""
         outlines = Quadratic(np.array([fit.information for fit in fits]), np.array([fit.slope for fit in fits]))
-        at = Posed.stacked(fit.at for fit in fits)
-        return cls(at, outlines) if common is None else cls.sharing(at, outlines, common, {})
+        return cls.sharing(Posed.stacked(fit.at for fit in fits), outlines, common, {})
 
     @classmethod
     def sharing(cls, at: Posed, outlines: Quadratic, common: CommonErrors, seen: Mapping[str, Float64]) -> FrameFits:
         """Return the outlines of N frames with the errors that these share; ``seen`` as above."""
         counted = outlines.information.any(axis=(1, 2))  # those without an outline do not count as others near a frame
         shares = 1 / frames_alike(np.where(counted, common.times, np.nan), common.alike_seconds)
-        return cls(at, outlines, seen, common.by_lag, shares)
+        return cls(at, outlines, common.by_lag, shares, seen)
 
     @property
     def further(self) -> Float64:
@@ -92,13 +91,6 @@ class FrameFits:
         information = self.outlines.information[:, :own, :own]
         return np.asarray(np.linalg.pinv(information, rcond=1e-9, hermitian=True), dtype=np.float64)
 
-    def subset(self, index: list[int] | NDArray[np.integer]) -> FrameFits:
-        """Return the fits of the frames at some indices."""
-        by_lag = None if self.by_lag is None else self.by_lag[index]
-        outlines = self.outlines.select([int(i) for i in index])
-        shares = np.broadcast_to(self.shares, len(self.at))[index]
-        return FrameFits(self.at[index], outlines, self.seen, by_lag, shares)
-
 
 class ArmFrames(NamedTuple):
     """N frames of one arm of a session: their model, their fits, and the values of the blocks on which they depend."""
@@ -109,27 +101,7 @@ class ArmFrames(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class ArmEquations:
-    """What the N frames of an arm add to the normal equations, by the K unknowns on which they depend.
-
-    ``calibration`` are the values there, ``weights`` (N,) the robust weights of the frames, ``misfit`` (N,) their
-    squared Mahalanobis distances between outline and prediction. ``frame_information`` (N, K, K) and ``frame_slopes``
-    (N, K) are what each frame adds to the information matrix and to the gradient of half the sum of squares, less where
-    frames count as a share of one; ``independent`` (K, K) the covariance of the sum of these gradients if the frames
-    were independent. ``by_lag`` (K,) is the change of their sum by one standard deviation of the lag.
-    """
-
-    calibration: Calibration
-    weights: Float64
-    misfit: Float64
-    frame_information: Float64
-    frame_slopes: Float64
-    independent: Float64
-    by_lag: Float64
-
-
-@dataclass(frozen=True, eq=False)
-class Whole:
+class Equations:
     """The normal equations of all arms by the G unknowns of the session, of which those that arms share stand once.
 
     ``places`` are those of each arm's unknowns among them. ``information`` (G, G), ``gradient`` (G,); ``independent``
@@ -144,28 +116,6 @@ class Whole:
     independent: Float64
     scattered: Float64
     by_lag: Float64
-
-    @classmethod
-    def of(cls, arms: Sequence[ArmEquations]) -> Whole:
-        """Stack the equations of the arms."""
-        places, count = _places([arm.calibration for arm in arms])
-        prior, deviation, by_lag = np.zeros((count, count)), np.zeros(count), np.zeros(count)
-        for arm, place in zip(arms, places, strict=True):
-            prior[np.ix_(place, place)] = arm.calibration.information
-            deviation[place] = arm.calibration.deviation
-        information, independent, gradient = prior.copy(), prior.copy(), prior @ deviation
-        parts = np.zeros((_PARTS, count))
-        for arm, place in zip(arms, places, strict=True):
-            both = np.ix_(place, place)
-            information[both] += arm.frame_information.sum(axis=0)
-            independent[both] += arm.independent
-            gradient[place] += arm.frame_slopes.sum(axis=0)
-            by_lag[place] += arm.by_lag
-            sums = [part.sum(axis=0) for part in np.array_split(arm.frame_slopes, min(_PARTS, len(arm.weights)))]
-            parts[: len(sums), place] += np.array(sums)
-        used = parts[: max(min(_PARTS, len(arm.weights)) for arm in arms)]
-        scattered = np.atleast_2d(len(used) * np.cov(used, rowvar=False))
-        return cls(places, information, gradient, independent, scattered, by_lag)
 
     def covariance_of(self, inverse: Float64) -> Float64:
         """Return the covariance (G, G) for a given inverse (G, G) of the information, as with something added to it."""
@@ -191,16 +141,22 @@ def _places(calibrations: Sequence[Calibration]) -> tuple[tuple[Indices, ...], i
 
 
 @dataclass(frozen=True, eq=False)
-class Solved(ArmEquations):
-    """An arm's part of a solution: its own equations, and the ``whole`` ones, in which it is number ``arm``.
+class Solved:
+    """An arm's part of a solution, by the K unknowns on which its N frames depend; it is number ``arm`` of the session.
 
-    ``of_masks`` (K, K) is the mean square of the errors that errors of all masks on some sides cause; None where these
-    are not known.
+    ``weights`` (N,) are the robust weights of the frames, ``misfit`` (N,) their squared Mahalanobis distances between
+    outline and prediction. ``frame_information`` (N, K, K) and ``frame_slopes`` (N, K) are what each frame adds to the
+    information matrix of the ``whole`` and to the gradient of half the sum of squares, less where frames count as a
+    share of one.
     """
 
-    whole: Whole
-    arm: int = 0
-    of_masks: Float64 | None = None
+    calibration: Calibration
+    weights: Float64
+    misfit: Float64
+    frame_information: Float64
+    frame_slopes: Float64
+    whole: Equations
+    arm: int
 
     @property
     def _place(self) -> tuple[Indices, Indices]:
@@ -224,8 +180,7 @@ class Solved(ArmEquations):
         cables do.
         """
         inverse = np.asarray(np.linalg.inv(self.whole.information), dtype=np.float64)
-        alone = self.whole.covariance_of(inverse)[self._place]
-        return alone if self.of_masks is None else alone + self.of_masks
+        return self.whole.covariance_of(inverse)[self._place]
 
     def with_information(self, more: Float64) -> tuple[Float64, Float64]:
         """Return inverse information and covariance (K, K) with more information (K, K) about the arm's unknowns."""
@@ -247,10 +202,6 @@ def marginalise(model: SessionModel, fits: FrameFits, calibration: Calibration) 
     predicted = model.predict(calibration).minus(fits.at)
     information = np.asarray(np.linalg.inv(model.covariance(calibration)), dtype=np.float64)
     return eliminate(fits.outlines, predicted, information, calibration.further - fits.further)
-
-
-Solver = Callable[[Sequence[ArmFrames]], tuple[list[SessionModel], list[Solved]]]
-"""Estimates the calibrations of arms from their frames, as `solve_arms`; the models may change."""
 
 
 def solve(model: SessionModel, fits: FrameFits, start: Calibration) -> Solved:
@@ -281,11 +232,6 @@ def solve_arms(arms: Sequence[ArmFrames], *, steps: int = MOST_STEPS) -> list[So
     return solutions
 
 
-def solve_unchanged(arms: Sequence[ArmFrames]) -> tuple[list[SessionModel], list[Solved]]:
-    """Estimate the calibrations as `solve_arms`, and return the models as they were, too."""
-    return [arm.model for arm in arms], solve_arms(arms)
-
-
 def solve_with_modes(model: SessionModel, modes: Sequence[Sequence[Mode]], start: Calibration) -> Solved:
     """Alternate between choosing a mode of each frame and estimating the calibration from these.
 
@@ -303,26 +249,34 @@ def solve_with_modes(model: SessionModel, modes: Sequence[Sequence[Mode]], start
 
 def solution_at(arms: Sequence[ArmFrames]) -> list[Solved]:
     """Return the calibrations of arms with what all frames, weighted there, show of them."""
-    equations = [_equations(*arm) for arm in arms]
-    whole = Whole.of(equations)
-    return [Solved(**vars(own), whole=whole, arm=number) for number, own in enumerate(equations)]
-
-
-def _equations(model: SessionModel, fits: FrameFits, calibration: Calibration) -> ArmEquations:
-    """Return what the frames of an arm show of a calibration."""
-    frames, jacobian = marginalise(model, fits, calibration), model.jacobian(calibration)
-    misfit = _misfit(frames, fits.optimum(calibration.further))
-    weights = robust_weights(misfit, 6 + len(model.names))
-    shares = np.broadcast_to(fits.shares, len(weights))
-    weighted = np.swapaxes(jacobian, 1, 2) * (shares * weights)[:, None, None]
-    frame_information = weighted @ frames.left.information @ jacobian
-    frame_slopes = times(weighted, frames.left.slope)
-    independent = np.einsum("n,nij->ij", shares, frame_information)
-    by_lag = np.zeros(jacobian.shape[2])
-    if fits.by_lag is not None:
-        own = fits.outlines.dimension - len(fits.further)
-        by_lag = times(weighted @ frames.left.information[:, :, :own], fits.by_lag).sum(axis=0)
-    return ArmEquations(calibration, weights, misfit, frame_information, frame_slopes, independent, by_lag)
+    places, count = _places([arm.calibration for arm in arms])
+    prior, deviation, by_lag = np.zeros((count, count)), np.zeros(count), np.zeros(count)
+    for arm, place in zip(arms, places, strict=True):
+        prior[np.ix_(place, place)], deviation[place] = arm.calibration.information, arm.calibration.deviation
+    information, independent, gradient = prior.copy(), prior.copy(), prior @ deviation
+    parts, found = np.zeros((_PARTS, count)), list[tuple[Calibration, Float64, Float64, Float64, Float64]]()
+    for (model, fits, calibration), place in zip(arms, places, strict=True):
+        frames, jacobian, both = (
+            marginalise(model, fits, calibration),
+            model.jacobian(calibration),
+            np.ix_(place, place),
+        )
+        misfit = _misfit(frames, fits.optimum(calibration.further))
+        weights = robust_weights(misfit, 6 + len(model.names))
+        weighted = np.swapaxes(jacobian, 1, 2) * (fits.shares * weights)[:, None, None]
+        of_frames, slopes = weighted @ frames.left.information @ jacobian, times(weighted, frames.left.slope)
+        information[both] += of_frames.sum(axis=0)
+        independent[both] += np.einsum("n,nij->ij", fits.shares, of_frames)
+        gradient[place] += slopes.sum(axis=0)
+        by_pose = weighted @ frames.left.information[:, :, : frames.expected.shape[1]]
+        by_lag[place] += times(by_pose, fits.by_lag).sum(axis=0)
+        for number, part in enumerate(np.array_split(slopes, min(_PARTS, len(slopes)))):
+            parts[number, place] += part.sum(axis=0)
+        found.append((calibration, weights, misfit, of_frames, slopes))
+    used = parts[: max(len(own[-1]) for own in found)]
+    scattered = np.atleast_2d(len(used) * np.cov(used, rowvar=False))
+    whole = Equations(places, information, gradient, independent, scattered, by_lag)
+    return [Solved(*own, whole, number) for number, own in enumerate(found)]
 
 
 def _misfit(frames: Eliminated, optimum: Float64) -> Float64:

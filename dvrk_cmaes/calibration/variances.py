@@ -18,7 +18,6 @@ import numpy as np
 from dvrk_cmaes.calibration.model import Deviations, SessionModel
 from dvrk_cmaes.calibration.solve import MOST_STEPS, ArmFrames, FrameFits, Solved, marginalise, solve_arms
 from dvrk_cmaes.config import SessionConfig
-from dvrk_cmaes.geometry import Float64
 
 _ITERATIONS = 3  # of both estimates
 _MAX_ROLL_INFLATION, _MAX_JOINT_INFLATION = 20.0, 2.0
@@ -69,53 +68,24 @@ def estimate_variances(
         Initial standard deviations, where they are not those of ``config``.
     """
     start = Deviations.of(config, model.names) if initial is None else initial
-    squares = _Squares(model, fits, solution, config)
-    current, loadings = model.deviations, model.outer_loadings(solution.calibration)
-    outer = start.outer.copy()
-    turns = (squares.of(loadings[0]) + squares.of(loadings[1])) / 2
-    rotation = squares.new_std(start.outer[0], current.outer[0], turns, config.arm_std_factor)
-    insertion = squares.new_std(start.outer[2], current.outer[2], squares.of(loadings[2]), config.arm_std_factor / 2)
-    outer[:2], outer[2] = max(rotation, start.outer[0]), max(insertion, start.outer[2])
-    outer[3] = squares.new_std(start.outer[3], current.outer[3], squares.of(loadings[3]), config.cable_std_factor)
-    joints = np.zeros_like(start.joints)
-    for j in range(len(joints)):
-        own = squares.along(6 + j, current.joints[j] * model.inflation[:, 1 + j])
-        joints[j] = squares.new_std(start.joints[j], current.joints[j], own, config.cable_std_factor)
-    slack = start.slack.copy()
-    for part in (slice(0, 3), slice(3, 6)):
-        own = np.mean([squares.along(k, current.slack[k]) for k in range(6)[part]], axis=0)
-        slack[part] = squares.new_std(start.slack[part][0], current.slack[part][0], own, 1.0)
-    off = squares.frames.deviation
-    standardised = np.concatenate([off[:, 5:6] / outer[3], off[:, 6:] / joints], axis=1)
-    most = np.array([_MAX_ROLL_INFLATION] + [_MAX_JOINT_INFLATION] * len(joints))
-    inflation = np.clip(np.abs(standardised) / config.tail, 1.0, most)
-    return replace(model, deviations=Deviations(outer, joints, slack), inflation=inflation)
-
-
-class _Squares:
-    """Posterior mean squares of the errors of N frames; arguments as in `estimate_variances`."""
-
-    def __init__(self, model: SessionModel, fits: FrameFits, solution: Solved, config: SessionConfig) -> None:
-        self._weights, self._config = solution.weights, config
-        self.frames = marginalise(model, fits, solution.calibration)
-        self._inverse = np.linalg.inv(model.covariance(solution.calibration))
-
-    def of(self, loading: Float64) -> Float64:
-        """Compute those (N,) of a standard normal error that changes the frames by (N, D) times it."""
-        gain = np.einsum("nij,nj->ni", self._inverse, loading)
-        mean = (gain * self.frames.deviation).sum(axis=1)
-        spread = np.einsum("nij,nj->ni", self.frames.covariance, gain)
-        variance = 1 - (gain * loading).sum(axis=1) + (gain * spread).sum(axis=1)
-        return np.asarray(mean**2 + variance)
-
-    def along(self, axis: int, std: Float64 | float) -> Float64:
-        """Compute those (N,) of an error along one axis with a standard deviation, a number or (N,)."""
-        loading = np.zeros(self.frames.deviation.shape)
-        loading[:, axis] = std
-        return self.of(loading)
-
-    def new_std(self, initial: float, current: float, squares: Float64, most: float) -> float:
-        """Return a standard deviation from mean squares (N,) in units of the current one, at most a multiple."""
-        capped = np.minimum(squares * current**2, (most * initial) ** 2)
-        total = self._config.spread_frames * initial**2 + (self._weights * capped).sum()
-        return float(np.sqrt(total / (self._config.spread_frames + self._weights.sum())))
+    first, now = (np.concatenate([*vars(one).values()]) for one in (start, model.deviations))
+    joints, weights = len(model.names), solution.weights
+    frames = marginalise(model, fits, solution.calibration)
+    # of standard normal errors of outer joints, joints and slack, (N, 6 + J, 10 + J)
+    own = np.roll(np.eye(6 + joints), 6, axis=0) * now[4:]
+    own = own * np.hstack([model.inflation[:, 1:], np.ones((len(weights), 6))])[:, None]
+    loadings = np.concatenate([np.moveaxis(model.outer_loadings(solution.calibration), 0, 2), own], axis=2)
+    gains = np.linalg.solve(model.covariance(solution.calibration), loadings)
+    means, spreads = np.einsum("ndk,nd->nk", gains, frames.deviation), frames.covariance @ gains
+    squares = means**2 + 1 - (gains * loadings).sum(axis=1) + (gains * spreads).sum(axis=1)
+    for alike in (slice(0, 2), slice(-6, -3), slice(-3, None)):  # yaw and pitch, the slack of place and of rotation
+        squares[:, alike] = squares[:, alike].mean(axis=1, keepdims=True)
+    factors = config.arm_std_factor, config.arm_std_factor / 2, config.cable_std_factor, 1.0
+    most = first * np.repeat(factors, [2, 1, 1 + joints, 6])
+    total = config.spread_frames * first**2 + weights @ np.minimum(squares * now**2, most**2)
+    values = np.sqrt(total / (config.spread_frames + weights.sum()))
+    values[:3] = np.maximum(values[:3], first[:3])
+    standardised = np.abs(frames.deviation[:, 5:]) / values[3:-6]
+    largest = [_MAX_ROLL_INFLATION] + [_MAX_JOINT_INFLATION] * joints
+    inflation = np.clip(standardised / config.tail, 1.0, largest)
+    return replace(model, deviations=Deviations(*np.split(values, [4, 4 + joints])), inflation=inflation)

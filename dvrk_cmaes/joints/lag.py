@@ -110,6 +110,16 @@ class Lag:
             f"lag: expected a lag in frames, such as 4frames, since the images have no times, got {self.seconds:g} s"
         )
 
+    def known_in(self, unit: Unit) -> tuple[float | None, float | None]:
+        """Return the lag and its standard deviation in a unit, None where they are not known in it.
+
+        Parameters
+        ----------
+        unit
+            ``s`` or ``frames``.
+        """
+        return (self.seconds, self.std_seconds) if unit == "s" else (self.frames, self.std_frames)
+
     def in_seconds(self, rate: float) -> float:
         """Return the lag in seconds, for a recording with a number of frames a second.
 
