@@ -13,8 +13,8 @@ from typing import Any, Final, Generic, TypeVar
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.session_problem import ArmSession, checked
-from dvrk_cmaes.calibration.session_trials import solve_session
+from dvrk_cmaes.calibration.session_loop import solve_session
+from dvrk_cmaes.calibration.session_problem import ArmSession
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64, adjoint, change_between, inverse, log_rotation
 from dvrk_cmaes.instrument.setup_joints import SETUP
@@ -65,7 +65,8 @@ class Begun(Generic[R]):
 def solved_together(arms: Mapping[str, Callable[[], Begun[T]]]) -> dict[str, T]:
     """Begin all arms of a session, solve them in one problem, and finish each; the results by name.
 
-    If an arm cannot be begun or solved, the others are solved without it and finished, and its error is raised.
+    If an arm cannot be begun or solved, the others are solved and finished, each by itself if one cannot be solved, and
+    its error is raised.
     """
     begun: dict[str, Begun[T]] = {}
     results, errors = dict[str, T](), list[Exception]()
@@ -92,20 +93,14 @@ def solved_alone(begun: Begun[T]) -> T:
 
 
 def _outcomes(arms: Mapping[str, ArmSession]) -> dict[str, Outcome]:
-    """Solve arms in one problem, without those that cannot be solved by themselves."""
-    if not arms:
-        return {}
+    """Solve arms in one problem; each by itself, if that is not possible."""
     try:
         with single_blas_thread():
-            return dict(zip(arms, checked(solve_session(list(arms.values()))), strict=True))
-    except InputError as error:
-        if len(arms) == 1:
-            return dict.fromkeys(arms, error)
+            return dict(zip(arms, solve_session(list(arms.values())), strict=True)) if arms else {}
     except Exception as error:
-        return dict.fromkeys(arms, error)
-    alone = {name: _outcomes({name: arm})[name] for name, arm in arms.items()}
-    good = {name: arm for name, arm in arms.items() if not isinstance(alone[name], Exception)}
-    return {**alone, **_outcomes(good)} if 1 < len(good) < len(arms) else alone
+        if len(arms) == 1 or not isinstance(error, InputError):
+            return dict.fromkeys(arms, error)
+    return {name: _outcomes({name: arm})[name] for name, arm in arms.items()}
 
 
 @dataclass(frozen=True, eq=False)

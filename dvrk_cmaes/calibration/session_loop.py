@@ -1,0 +1,359 @@
+"""A session as one least-squares problem: the frames of its arms, and the blocks of unknowns that these share.
+
+By the frames' own modes `started` finds the endoscope and the lag, and `initialised` the camera_from_base that most
+frames of an arm agree on, in pieces where it moved. `solved` then alternates: each frame is fitted to its outline with
+what the blocks predict as a prior, and the blocks of all arms are estimated from all fits. `checked` tests the camera,
+the instrument's sizes and the masks.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from dvrk_cmaes.calibration.blocks import SeenBlock
+from dvrk_cmaes.calibration.cables import MARGIN, estimate_cables
+from dvrk_cmaes.calibration.consensus import (
+    INLIER_MISFIT,
+    check_arm,
+    check_motion,
+    choose_modes,
+    find_consensus_at_any_roll,
+)
+from dvrk_cmaes.calibration.endoscope import Pieces, Place, Steered
+from dvrk_cmaes.calibration.endoscope_search import LEAST_PIECE, describe_pieces, find_hand_eye, find_pieces
+from dvrk_cmaes.calibration.frame_fit import starts_of
+from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, in_common
+from dvrk_cmaes.calibration.linearise import linearise
+from dvrk_cmaes.calibration.model import Deviations, SessionModel, ecm_readings, frames_alike, outer_readings
+from dvrk_cmaes.calibration.session_camera import CAMERA, IMPLAUSIBLE, Lens, camera_undetermined, check_camera
+from dvrk_cmaes.calibration.session_frame import SessionFrame, fit_task, gather_task
+from dvrk_cmaes.calibration.session_masks import estimate_margin
+from dvrk_cmaes.calibration.session_problem import LEAST_FRAMES, Arms, ArmSession, ArmSetup
+from dvrk_cmaes.calibration.session_rig import turns_of
+from dvrk_cmaes.calibration.session_shaft import InstrumentSizes
+from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, solve_arms, solve_with_modes
+from dvrk_cmaes.calibration.variances import solve_with_variances
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Posed
+
+TESTED: Final[tuple[Callable[[EstimateConfig, Camera], SeenBlock], ...]] = (Lens,)
+"""What makes the further blocks that every session is tested for, each of which states itself."""
+
+_ROUNDS = 4  # in which frames and blocks are estimated in turn
+_NEAR = 1.0  # standard deviations per parameter, by which fits move to where the last solution expects them
+_CAMERA_PASSES = 2  # linearisations of the outlines about the camera between two fits of the frames
+_MOVED_SHARE = 0.1  # of the frames, that agree only if the session is cut where its base moved
+_AGREE: Final = 4.0  # standard deviations of each unknown, within which arms find the same endoscope
+_OTHER_TIP: Final = (
+    "the arms show another camera in the endoscope's tip: each has its own; one arm's readings may be wrong"
+)
+_HAND_EYE: Final = 10  # unknowns that do not differ from place to place
+_LEAST_AGREEING = 0.7  # of the frames, from which on others are predicted from them
+
+
+def solve_session(arms: Arms) -> Arms:
+    """Solve the arms of a session in one problem; one that is cut where the base moved is also solved in one piece.
+
+    Frames near each other in time, whose masks err alike, agree with each other whatever they show. So a session stays
+    cut only if that explains clearly more frames.
+
+    Raises
+    ------
+    InputError
+        As `initialised` and `solved`.
+    """
+    arms = started(arms)
+    session = solved(_with_common_endoscope([initialised(arm) for arm in arms]))
+    if any(isinstance(arm.model.endoscope, Pieces) for arm in session):
+        with contextlib.suppress(InputError):
+            whole = solved([initialised(arm, may_cut=False) for arm in arms])
+            gain = sum(one.agreeing - other.agreeing for one, other in zip(session, whole, strict=True))
+            if gain < max(LEAST_PIECE, _MOVED_SHARE * sum(len(arm.frames) for arm in session)):
+                session = whole
+    return checked(session)
+
+
+def started(arms: Arms) -> Arms:
+    """Find the camera in the tip of an endoscope that is read and moves, and the lag, by the modes of the frames.
+
+    The places where the endoscope stands are those that the first arm finds.
+    """
+    found, places = list[ArmSession](), tuple[Place, ...]()
+    for arm in arms:
+        steered = Steered.of(ecm_readings([frame.result.readings for frame in arm.frames]), places)
+        if steered is not None:
+            places = places or steered.places
+            arm.setup.progress("finding the camera in the endoscope", len(arm.frames))
+            arm = replace(arm, model=replace(arm.model, endoscope=find_hand_eye(arm.model, arm.modes, steered)))
+        found.append(replace(arm, lag=arm.lag.searched(arm.model, arm.modes)))
+    common = in_common([arm.lag for arm in found])
+    return [replace(arm, lag=lag) for arm, lag in zip(found, common, strict=True)]
+
+
+def initialised(arm: ArmSession, *, may_cut: bool = True) -> ArmSession:
+    """Find the camera_from_base that most frames of an arm agree on, and faults of its session.
+
+    The lag of the arm is taken out of the readings. ``may_cut`` is whether the session may be cut into pieces between
+    which the base moved.
+
+    Raises
+    ------
+    InputError
+        The arm does not move, the readings only fit another arm or tool, or too few frames remain; or the camera is to
+        be refined, and the session does not determine it.
+    """
+    check_motion(arm.model)
+    if arm.change is not None and (reason := camera_undetermined(arm.model)):
+        raise arm.camera_refused(reason)
+    arm = _less_lag(arm)
+    consensus = find_consensus_at_any_roll(arm.model, arm.modes)
+    check_arm(arm.model, arm.modes, consensus)
+    if may_cut and arm.model.endoscope is None:
+        alike = float(np.median(frames_alike(arm.times, arm.setup.config.session.alike_seconds)))
+        pieces = find_pieces(arm.model, arm.modes, consensus, alike=alike)
+        if pieces is not None:
+            arm = replace(arm, model=replace(arm.model, endoscope=pieces))
+            arm = arm.noted(remarks=[describe_pieces(pieces, arm.frames)])
+            consensus = find_consensus_at_any_roll(arm.model, arm.modes)
+    return replace(arm, found=solve_with_modes(arm.model, arm.modes, consensus.calibration))
+
+
+def _less_lag(arm: ArmSession) -> ArmSession:
+    """Correct the readings by the lag if it differs from zero; frames without readings then are left out."""
+    applied = arm.lag.applied
+    if applied is None:
+        return arm
+    has = arm.lag.has_readings(arm.lag.value)
+    left_out = {frame.name: NO_READINGS_AT_LAG for frame, own in zip(arm.frames, has, strict=True) if not own}
+    arm = replace(arm.subset(np.flatnonzero(has).tolist()), left_out={**arm.left_out, **left_out})
+    if len(arm.frames) < LEAST_FRAMES:
+        raise InputError(
+            f"session: {applied.describe()}, which leaves {len(arm.frames)} frames with readings; "
+            f"expected at least {LEAST_FRAMES}"
+        )
+    return replace(arm, model=arm.lag.model_at(arm.model, arm.lag.value))
+
+
+def _with_common_endoscope(arms: Arms) -> Arms:
+    """Return arms of which those that find the endoscope of the first one share it: it stands in the problem once.
+
+    Of one that is not read, these are the moves of the camera between pieces, where the arms have the same pieces.
+    """
+    first, out = arms[0], list[ArmSession]()
+    known, own = first.model.endoscope, first.calibration.endoscope
+    if known is None or own is None or len(arms) == 1:
+        return arms
+    for arm in arms:
+        endoscope, theirs = arm.model.endoscope, arm.calibration.endoscope
+        if endoscope is None or theirs is None or len(theirs.deviation) != len(own.deviation):
+            out.append(arm)
+            continue
+        apart = np.abs(own.deviation - replace(theirs, expected=own.expected).deviation)
+        of_both = [one.solution.covariance[(one.calibration.place("endoscope"),) * 2] for one in (first, arm)]
+        differ, read = apart > _AGREE * np.sqrt(np.diag(sum(of_both))), isinstance(known, Steered)
+        if differ[: _HAND_EYE if read else None].any():
+            out.append(arm.noted(remarks=[_OTHER_TIP]) if read else arm)
+            continue
+        endoscope = replace(endoscope, start=known.start, loose=known.loose, shared=True)
+        arm = arm.at(arm.calibration.with_blocks(endoscope.block, endoscope=own))
+        out.append(replace(arm, model=replace(arm.model, endoscope=endoscope)))
+    return out
+
+
+def solved(arms: Arms) -> Arms:
+    """Alternate between fitting the frames of all arms and estimating the blocks that they share.
+
+    In the first two rounds the standard deviations of predictions are widened. Before the last one, whose fits are the
+    results, the margin of the masks is estimated, or the camera, where it is to be refined. At the end all is solved
+    once more from the fits of the last round.
+
+    Raises
+    ------
+    InputError
+        Too few frames of an arm agree, or the camera is to be refined and its estimate is not plausible.
+    """
+    setup = arms[0].setup
+    for arm in arms:
+        arm.setup.progress("gathering evidence", len(arm.frames))
+    arms = [_with_evidence(arm) for arm in arms]
+    for number in range(1, _ROUNDS + 1):
+        for arm in arms:
+            arm.setup.progress(f"round {number} of {_ROUNDS}", len(arm.frames))
+        scale = setup.config.session.loosened ** max(1 - (number - 1) / 2, 0.0)
+        last = number == _ROUNDS
+        arms = [_fitted(arm, scale, last=last) for arm in arms]
+        arms = _estimated(arms, keep_all=scale != 1.0, last=last)
+        if setup.refine_camera and not last:
+            arms = _with_camera(arms, last=number == _ROUNDS - 1)
+        elif number == _ROUNDS - 1:
+            arms = _with_margin(arms)
+    found, out = solve_arms([ArmFrames(arm.model, arm.outlines(), arm.calibration) for arm in arms]), []
+    for arm, own in zip(arms, found, strict=True):
+        pairs = zip(arm.fits, arm.model.priors(own.calibration), strict=True)
+        fits = tuple(fit.moved_to(prior) if fit.step_to(prior) < _NEAR else fit for fit, prior in pairs)
+        out.append(replace(arm, fits=fits, found=own))
+    return out
+
+
+def _with_evidence(arm: ArmSession) -> ArmSession:
+    """Gather the evidence of an arm's frames, as seen by the camera that is used."""
+    tasks = [(frame, turns_of(arm.rig), arm.change if arm.fits else None) for frame in arm.frames]
+    return replace(arm, stored=tuple(arm.setup.run(gather_task, tasks)))
+
+
+def _fitted(arm: ArmSession, scale: float, *, last: bool) -> ArmSession:
+    """Fit the frames of an arm in a round, each from its starts.
+
+    A frame without any keeps the linearisation of its outline, whose minimum is its fit in the ``last`` round.
+    """
+    turn = float(np.deg2rad(arm.setup.config.session.turn_deg))
+    expected = arm.model.priors(arm.calibration, scale=scale)
+    agrees = (arm.solution.misfit / (6 + len(arm.model.names)) < INLIER_MISFIT).tolist()
+    before: list[tuple[Posed, ...]]
+    if arm.fits:
+        agrees = [clear and fit.explains_mask for clear, fit in zip(agrees, arm.fits, strict=True)]
+        before = [(fit.at if arm.moved is None else arm.moved[i],) for i, fit in enumerate(arm.fits)]
+    else:
+        chosen = choose_modes(arm.model, arm.modes, arm.calibration)
+        pairs = zip(agrees, chosen, arm.modes, strict=True)
+        before = [(mode.at,) if clear else tuple(one.at for one in modes) for clear, mode, modes in pairs]
+    fits = arm.fits if arm.moved is None and arm.fits else (None,) * len(arm.frames)
+    each = zip(before, expected, agrees, fits, strict=True)
+    starts = [starts_of(at, prior, turn, agrees=clear, fit=fit) for at, prior, clear, fit in each]
+    again = [i for i, of_frame in enumerate(starts) if of_frame]
+    tasks = [(arm.stored[i], expected[i], starts[i], arm.change, arm.taken_off) for i in again]
+    found = {i: fit.moved_to(expected[i]) if last else fit for i, fit in enumerate(arm.fits)}
+    found |= zip(again, arm.setup.run(fit_task, tasks), strict=True)
+    return replace(arm, fits=tuple(found[i] for i in range(len(arm.frames))))
+
+
+def _estimated(arms: Arms, *, keep_all: bool, last: bool) -> Arms:
+    """Estimate base, offsets, variances and cables of all arms from the current fits.
+
+    ``keep_all`` is whether fits that do not explain the mask count as well. Cables must be more likely by a margin in
+    the ``last`` round. `InputError` if too few fits count.
+    """
+    if not keep_all:
+        for arm in arms:
+            arm.check_agreement()
+    fits = [arm.outlines(keep_all=keep_all) for arm in arms]
+    arms = [replace(arm, moved=None) for arm in _with_variances(arms, fits)]
+    if not keep_all and arms[0].setup.config.session.cables:
+        arms = [_with_cables(arm, own, MARGIN if last else 0.0) for arm, own in zip(arms, fits, strict=True)]
+        if any(arm.cables is not None and arm.cables[0].parts for arm in arms):
+            arms = _with_variances(arms, fits)
+    return arms
+
+
+def _with_variances(arms: Arms, fits: Sequence[FrameFits]) -> Arms:
+    """Estimate the calibrations together with the variances."""
+    session, usual = arms[0].setup.config.session, []
+    for arm in arms:
+        own = Deviations.of(session, arm.model.names)
+        usual.append(own if arm.cables is None else arm.cables[0].deviations(own))
+    frames = [ArmFrames(arm.model, own, arm.calibration) for arm, own in zip(arms, fits, strict=True)]
+    each = zip(arms, *solve_with_variances(frames, session, usual), strict=True)
+    return [replace(arm, model=model, found=own) for arm, model, own in each]
+
+
+def _with_cables(arm: ArmSession, fits: FrameFits, margin: float) -> ArmSession:
+    """Fit what cables do to the readings, besides the blocks: `cables` says why."""
+    usual, std = Deviations.of(arm.setup.config.session, arm.model.names), arm.model.offset_std[1:]
+    cables = estimate_cables(arm.model, fits, arm.solution, arm.lag, usual, std, margin)
+    own = cables[0].deviations(arm.model.deviations)
+    model = replace(arm.model, correction=cables[0].correction, deviations=own)
+    return replace(arm, cables=cables, model=model)
+
+
+def _with_camera(arms: Arms, *, last: bool) -> Arms:
+    """Estimate the change of the camera, and use it where it is plausible; `InputError` if it is not at ``last``."""
+    estimates = linearise(
+        [arm.outlined() for arm in arms], arms[0].setup.config.session, [CAMERA], passes=_CAMERA_PASSES
+    )
+    if not all(estimate.plausible for estimate in estimates):
+        if last:
+            raise arms[0].camera_refused(IMPLAUSIBLE)
+        return arms
+    each = zip(arms, estimates, strict=True)
+    return [arm.at(own.solution.calibration.alone(), change=own.value(CAMERA), moved=own.at) for arm, own in each]
+
+
+def _with_margin(arms: Arms) -> Arms:
+    """Estimate the margin of the masks, and take it off."""
+    seen = [arm.outlined(file_is_prior=True) for arm in arms]
+    masks, without = estimate_margin(seen, arms[0].setup.config.session)
+    return [arm.at(own, masks=masks, moved=at) for arm, (own, at) in zip(arms, without, strict=True)]
+
+
+def checked(arms: Arms) -> Arms:
+    """Test whether the frames contradict the camera file, the instrument's sizes and the further blocks.
+
+    The evidence of the returned arms is as seen by the camera that is used.
+    """
+    seen, config, out = [], arms[0].setup.config, list[ArmSession]()
+    for arm in arms:
+        arm.setup.progress("checking the camera", len(arm.frames))
+        further = (make(config, arm.stored[0].camera) for make in TESTED)
+        seen.append(arm.outlined(InstrumentSizes(arm.setup.instrument), *further))
+    checks = check_camera(seen, config, applied=arms[0].change)
+    for arm, check in zip(arms, checks, strict=True):
+        masks = arm.masks if check.of_margin is None else check.of_margin.stated(arm.masks)
+        arm = replace(arm, check=check, masks=masks)
+        if check.camera is None:
+            arm = arm.noted(undetermined=[check.undetermined])
+        elif arm.setup.guessed_camera:
+            arm = arm.noted(remarks=[check.camera.describe_found(arm.stored[0].camera)])
+        elif check.camera.applied:
+            arm = arm.noted(remarks=check.camera.contradictions())
+        out.append(arm if arm.change is None else _with_evidence(arm))
+    return out
+
+
+def predict_from_first(
+    first: Sequence[SessionFrame], others: Mapping[str, Mapping[str, float]], setup: ArmSetup
+) -> dict[str, Posed]:
+    """Predict frames of a recording from the modes of its ``first`` frames, in the order they were taken.
+
+    Parameters
+    ----------
+    first
+        Frames that were estimated by themselves.
+    others
+        The readings of the frames to predict, by name, rad and m.
+    setup
+        The recording's instrument, arm, settings and all readings.
+
+    Returns
+    -------
+    dict of str to Posed
+        The root's pose in the reference camera and the joints, by name; without the frames that have no readings of
+        all outer joints at the time of their image less the lag. Empty if the first frames do not agree, or the base
+        moved: in which piece the others are is not known yet.
+    """
+    try:
+        arm = initialised(started([ArmSession.of(setup, [frame for frame in first if not frame.lacks])])[0])
+    except InputError:  # too few frames, or they contradict each other: then they show nothing about the others
+        return {}
+    agree = arm.solution.misfit < INLIER_MISFIT * (6 + len(arm.model.names))
+    endoscope, lag, series = arm.model.endoscope, arm.lag.applied, setup.series
+    if agree.mean() < _LEAST_AGREEING or isinstance(endoscope, Pieces):
+        return {}
+    readings = {
+        name: own if lag is None or series is None or name not in series.frames else series.of_frame(name, lag)
+        for name, own in others.items()
+    }
+    readings = {name: own for name, own in readings.items() if not np.isnan(outer_readings([own])).any()}
+    if not readings:
+        return {}
+    read = [*readings.values()]
+    endoscope = None if endoscope is None else endoscope.at(ecm_readings(read))
+    model = SessionModel.of(read, setup.instrument, setup.config, setup.arm, endoscope)
+    predicted = model.predict(arm.calibration)
+    return {name: predicted[i] for i, name in enumerate(readings)}
