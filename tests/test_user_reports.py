@@ -19,8 +19,8 @@ from helpers.readings import read_joints
 
 from dvrk_cmaes import EstimateConfig, FrameData, InputError, ReadingSeries, SessionFrame, load_instrument, read_session
 from dvrk_cmaes.calibration.lag import SessionLag
-from dvrk_cmaes.calibration.session_problem import ArmSession, ArmSetup
 from dvrk_cmaes.calibration.session_loop import started
+from dvrk_cmaes.calibration.session_problem import ArmSession, ArmSetup
 from dvrk_cmaes.camera.files import read_camera_file, read_intrinsics
 from dvrk_cmaes.camera.rig_files import read_rig
 from dvrk_cmaes.frames.frame import read_frame

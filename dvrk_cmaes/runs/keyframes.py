@@ -19,8 +19,8 @@ from dvrk_cmaes.calibration.calibrate import begin_arm
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.session_doubts import bad_predictions
 from dvrk_cmaes.calibration.session_frame import SessionFrame
-from dvrk_cmaes.calibration.session_problem import ArmSetup
 from dvrk_cmaes.calibration.session_loop import predict_from_first
+from dvrk_cmaes.calibration.session_problem import ArmSetup
 from dvrk_cmaes.calibration.together import Begun, Outcome
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
