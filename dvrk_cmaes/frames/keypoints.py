@@ -12,7 +12,7 @@ import numpy as np
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.io.csv_file import number_in, read_csv_rows
+from dvrk_cmaes.io.csv_file import number_in, read_csv_rows, rows_by_frame
 from dvrk_cmaes.io.encode import encoded_fields
 from dvrk_cmaes.io.short_text import is_number, listed, shown
 
@@ -49,10 +49,7 @@ def read_boxes(path: str | Path) -> dict[str, Hints]:
     if _FRAME not in header or not parts or set(header) - {_FRAME, *(name for part in parts for name in part)}:
         raise InputError(f"{path}: header: expected frame,x0,y0,x1,y1 or frame,u,v or both, got {listed(header)}")
     prompts: dict[str, Hints] = {}
-    for where, cells in rows:
-        frame = cells[_FRAME]
-        if not frame or frame in prompts:
-            raise InputError(f"{where}: frame: expected each frame once, got {shown(frame)}{' again' if frame else ''}")
+    for frame, (where, cells) in rows_by_frame(rows).items():
         box, point = (_numbers(where, part, cells) if part in parts else () for part in (_BOX, _POINT))
         if box and not (box[0] < box[2] and box[1] < box[3]):
             raise InputError(f"{where}: expected a box with x0 < x1 and y0 < y1, got {listed(map(str, box))}")
@@ -102,16 +99,5 @@ def read_keypoints(path: str | Path) -> dict[str, Float64]:
     header, rows = read_csv_rows(path, expected="jaw tips (keypoints.csv)")
     if header != list(_COLUMNS):
         raise InputError(f"{path}: header: expected {','.join(_COLUMNS)}, got {listed(header) or 'nothing'}")
-    tips: dict[str, Float64] = {}
-    for where, cells in rows:
-        frame, *numbers = cells.values()
-        if not frame:
-            raise InputError(f"{where}: expected a frame and four numbers, got {listed(cells.values())}")
-        if frame in tips:
-            raise InputError(f"{where}: frame: expected each frame once, got {shown(frame)} again")
-        if any(numbers):
-            try:
-                tips[frame] = parse_keypoints(",".join(numbers))
-            except InputError as error:
-                raise InputError(f"{where}: {error}") from None
-    return tips
+    read = {frame: _numbers(where, _COLUMNS[1:], cells) for frame, (where, cells) in rows_by_frame(rows).items()}
+    return {frame: np.array(numbers).reshape(2, 2) for frame, numbers in read.items() if numbers}

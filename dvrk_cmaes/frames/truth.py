@@ -22,10 +22,10 @@ from msgspec import Meta, Struct
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64, exp_rotation, transform
-from dvrk_cmaes.io.csv_file import number_in, read_csv_rows
+from dvrk_cmaes.io.csv_file import number_in, read_csv_rows, rows_by_frame
 from dvrk_cmaes.io.encode import rounded_array, rounded_values
 from dvrk_cmaes.io.json_file import read_json_object, write_json
-from dvrk_cmaes.io.short_text import listed, shown
+from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.io.typed_document import Number, Point, Transform, convert_document, present_fields, refused
 
 _EXPECTED = "the truth of a session (golden.json)"
@@ -129,12 +129,10 @@ def read_published_poses(path: str | Path) -> dict[str, tuple[Float64, dict[str,
     missing = [name for name in _COLUMNS if name not in header]
     if missing:
         raise InputError(f"{path}: header: expected {','.join(_COLUMNS)}, got no {listed(missing)}")
-    poses: dict[str, tuple[Float64, dict[str, float]]] = {}
-    for where, cells in rows:
-        frame = cells["frame"]
-        if not frame or frame in poses:
-            raise InputError(f"{where}: frame: expected a name, each once, got {shown(frame)}")
-        poses[frame] = _pose({name: number_in(where, name, cells) for name in _COLUMNS[1:]})
+    poses = {
+        frame: _pose({name: number_in(where, name, cells) for name in _COLUMNS[1:]})
+        for frame, (where, cells) in rows_by_frame(rows).items()
+    }
     if not poses:
         raise InputError(f"{path}: expected a row for each frame, got a header only")
     return poses

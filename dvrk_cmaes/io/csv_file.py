@@ -89,6 +89,17 @@ def read_csv_rows(
     return header, rows
 
 
+def rows_by_frame(rows: Rows) -> dict[str, tuple[str, dict[str, str]]]:
+    """Return rows by their cell ``frame``; InputError for one without a frame, or with that of an earlier row."""
+    found: dict[str, tuple[str, dict[str, str]]] = {}
+    for where, cells in rows:
+        frame = cells["frame"]
+        if not frame or frame in found:
+            raise InputError(f"{where}: frame: expected each frame once, got {shown(frame)}{' again' if frame else ''}")
+        found[frame] = where, cells
+    return found
+
+
 def separator_of(text: str) -> str:
     """Return what separates the cells of a CSV text, by its first line: a comma, semicolon, tab or blank."""
     first = text.lstrip("\ufeff").partition("\n")[0].strip()

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.io.yaml_file import yaml_documents
-from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.names import IN_ORDER, joints_by_count, joints_of_arm, without_positions
 from dvrk_cmaes.joints.rows import JointFile, JointRow
+from dvrk_cmaes.joints.times import parse_stamp
 
 EXPECTED = "joint readings (JointState messages)"
 
@@ -49,7 +48,9 @@ def read_joint_state(path: str, text: str, names: Sequence[str], arm: str | None
             raise InputError(
                 f"{where}: name: expected {len(values)} different names, one for each position, got {shown(stated)}"
             )
-        messages.append((where, [str(name) for name in stated], values, _stamp(where, message.get("header"))))
+        header = message.get("header")
+        time = parse_stamp(f"{where}: header.stamp", header.get("stamp")) if isinstance(header, Mapping) else None
+        messages.append((where, [str(name) for name in stated], values, time))
     return file_of_messages(path, "JointState messages (YAML)", messages, names, arm)
 
 
@@ -96,15 +97,3 @@ def file_of_messages(
         if not set(first) & set(second):
             rows = {"both": (where, {**first, **second}, time)}
     return JointFile.of(path, kind, rows, "message", tuple(notes))
-
-
-def _stamp(where: str, header: Any) -> int | None:
-    """Return the time of a message's header, ns; None if it is missing or zero."""
-    stamp = header.get("stamp") if isinstance(header, Mapping) else None
-    if not isinstance(stamp, Mapping):
-        return None
-    seconds, rest = stamp.get("secs", stamp.get("sec", 0)), stamp.get("nsecs", stamp.get("nanosec", 0))
-    for value in (seconds, rest):
-        if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 2**32:
-            raise InputError(f"{where}: header.stamp: expected whole seconds and nanoseconds, got {shown(stamp)}")
-    return (seconds * NANOSECONDS + rest) or None

@@ -8,7 +8,7 @@ time, too.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from decimal import Decimal
 from pathlib import Path
@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.csv_file import read_csv_rows
+from dvrk_cmaes.io.csv_file import read_csv_rows, rows_by_frame
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 
@@ -29,6 +29,7 @@ _IN_NAME = re.compile(r".*_(\d{9,10}\.\d{6,9})")
 _COLUMN = re.compile(r"(time|timestamp|stamp|t)(?:_(s|sec|ms|us|ns|nsec))?", re.IGNORECASE)
 _DATE = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d{1,9}))?(Z|[+-]\d\d:?\d\d)?")
 _FACTORS = {"s": NANOSECONDS, "sec": NANOSECONDS, "ms": 10**6, "us": 10**3, "ns": 1, "nsec": 1}
+_SECONDS, _REST = ("sec", "secs"), ("nsec", "nanosec", "nsecs")
 _FEW = 10  # times, whose steps do not determine the unit
 _OF_MILLISECONDS = (5.0, 500.0)  # s; median step of times that may as well be in ms, of 2 to 200 a second
 
@@ -106,6 +107,19 @@ def _of_date(text: str) -> int | None:
     return round(moment.timestamp()) * NANOSECONDS + int(f"{match[3] or '0':0<9}")
 
 
+def parse_stamp(where: str, stamp: object) -> int | None:
+    """Return the time of a message's stamp, ns; None if it is none, or zero. InputError for numbers that are not whole.
+
+    Its seconds are in ``sec`` or ``secs``, the rest in ``nsec``, ``nsecs`` or ``nanosec``.
+    """
+    if not isinstance(stamp, Mapping) or not any(name in stamp for name in _SECONDS):
+        return None
+    parts = [next((stamp[name] for name in names if name in stamp), 0) for names in (_SECONDS, _REST)]
+    if not all(isinstance(part, int) and not isinstance(part, bool) and 0 <= part < 2**32 for part in parts):
+        raise InputError(f"{where}: expected whole seconds and nanoseconds, got {shown(stamp)}")
+    return int(parts[0]) * NANOSECONDS + int(parts[1]) or None
+
+
 def time_in_name(name: str) -> int | None:
     """Parse the time at the end of an image's name, as in ``left_1755000000.123456789``, ns; None if there is none."""
     match = _IN_NAME.fullmatch(name)
@@ -124,11 +138,9 @@ def read_image_times(path: Path) -> dict[str, int]:
     column = time_column(path, header)
     if "frame" not in header or column is None:
         raise InputError(f"{path}: header: expected columns frame and time, got {listed(header)}")
-    times: dict[str, int] = {}
+    found = rows_by_frame(rows)
     parsed = parse_times(column, [(where, cells[column]) for where, cells in rows])
-    for (where, cells), time in zip(rows, parsed, strict=True):
-        frame = cells["frame"]
-        if not frame or frame in times:
-            raise InputError(f"{where}: frame: expected each frame once, got {shown(frame)}{' again' if frame else ''}")
-        times[frame] = parse_time(where, cells[column]) if time is None else time
-    return times
+    return {
+        frame: parse_time(where, cells[column]) if time is None else time
+        for (frame, (where, cells)), time in zip(found.items(), parsed, strict=True)
+    }

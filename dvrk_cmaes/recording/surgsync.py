@@ -46,7 +46,7 @@ from dvrk_cmaes.io.parquet_file import field_names, read_columns
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, known_where, weighted_mean
 from dvrk_cmaes.joints.names import ECM_JOINTS, joint_reading, joints_by_count
-from dvrk_cmaes.joints.times import parse_time
+from dvrk_cmaes.joints.times import parse_stamp, parse_time
 from dvrk_cmaes.recording.camera import read_camera_bytes, with_pose
 from dvrk_cmaes.recording.messages import stored_image
 from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording, listed_readings
@@ -54,8 +54,6 @@ from dvrk_cmaes.recording.video import images_of
 
 _TIMES = "the times of a frame (time_syn, JSON)"
 _KINEMATICS = "the readings of an arm (kinematic, JSON)"
-_SECONDS = ("sec", "secs")
-_NANOSECONDS = ("nsec", "nanosec", "nsecs")
 
 
 def read_times(path: Path, side: Side, arm: str | None) -> tuple[int, int, int]:
@@ -113,9 +111,7 @@ def _field(document: Any, name: str) -> Any:
         for value in level:
             if isinstance(value, dict) and name in value:
                 return value[name]
-        nested = (
-            value.values() if isinstance(value, dict) else value for value in level if isinstance(value, dict | list)
-        )
+        nested = (own.values() if isinstance(own, dict) else own for own in level if isinstance(own, dict | list))
         level = [inner for values in nested for inner in values]
     return None
 
@@ -130,21 +126,13 @@ def _time(where: str, document: Any, *names: str) -> int | None:
     """Return the time, ns, under the first of some names that has one; None if none has, or it is zero."""
     for name in names:
         value = _field(document, name)
-        seconds, rest = (_of(value, keys) for keys in (_SECONDS, _NANOSECONDS))
-        if seconds is not None and rest is not None:
-            if not all(isinstance(part, int) and not isinstance(part, bool) for part in (seconds, rest)):
-                raise InputError(f"{where}: {name}: expected whole seconds and nanoseconds, got {shown(value)}")
-            return int(seconds) * NANOSECONDS + int(rest) or None
+        if (stamp := parse_stamp(f"{where}: {name}", value)) is not None:
+            return stamp
         if isinstance(value, str | int | float) and not isinstance(value, bool):
             # the name of the recorder's folder, SECONDS_NANOSECONDS, without leading zeros
             first, underscore, last = str(value).partition("_")
             return parse_time(f"{where}: {name}", f"{first}.{last:0>9}" if underscore else value)
     return None
-
-
-def _of(value: Any, keys: tuple[str, ...]) -> Any:
-    """Return the value of the first key that an object has; None if it has none or is no object."""
-    return next((value[key] for key in keys if key in value), None) if isinstance(value, dict) else None
 
 
 _STAMPS: Final = "timestamp.parquet"
