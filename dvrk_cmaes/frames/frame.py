@@ -165,16 +165,6 @@ class FrameData:
         """The image (H', W', 3), uint8 BGR, of the mask's aspect."""
         return self.views[0].image
 
-    def with_camera(self, camera: Camera) -> FrameData:
-        """Return the frame with another reference camera, for images of the same size.
-
-        Parameters
-        ----------
-        camera
-            The reference camera.
-        """
-        return replace(self, views=(replace(self.views[0], camera=camera), *self.views[1:]))
-
 
 def read_frame(files: FrameFiles, camera: Camera | Rig, *, blank: bool = False) -> FrameData:
     """Read a frame taken by a camera or a rig; the intrinsics are rescaled if a mask or an image is of another size.
@@ -226,7 +216,8 @@ def _read_view(files: FrameFiles, view: View, *, masked: bool, blank: bool) -> t
     if seen is None:
         return replace(seen_by(view, None), given=masked), files.notes
     what, path = ("image", image_path(files)) if mask is None else ("mask", files.mask)
-    fitted, notes = _fit(view.camera, seen.shape, path, what)
+    fitted, note = match_size(view.camera, seen.shape[:2], what, f"{path}: ")
+    notes = () if note is None else (note,)
     ignore = _ignored(files, seen.shape, what)
     if mask is not None and image is not None:
         if abs(image.shape[1] * mask.shape[0] / (image.shape[0] * mask.shape[1]) - 1) > 0.005:
@@ -295,15 +286,6 @@ def _moved(files: FrameFiles) -> Float64 | None:
     return files.keypoints if files.keypoints is None or files.crop is None else files.keypoints - files.crop[:2]
 
 
-def _fit(camera: Camera, shape: tuple[int, ...], path: Path | None, what: str) -> tuple[Camera, tuple[str, ...]]:
-    """Fit a camera to the size of a file's picture."""
-    try:
-        fitted, note = match_size(camera, (shape[0], shape[1]), what)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    return fitted, () if note is None else (note,)
-
-
 def _ignored(files: FrameFiles, shape: tuple[int, ...], what: str) -> Bool | None:
     """Read the pixels that count neither way."""
     ignore = None if files.ignore is None else _cropped(files, read_ignore(files.ignore), files.ignore)
@@ -339,11 +321,11 @@ def frame_size(files: FrameFiles) -> Size:
     InputError
         No such file, or no PNG or JPEG.
     """
-    path = files.mask or files.image
-    if path is None and files.video is not None:
-        return files.video.window[2:] if files.crop is None else files.crop[2:]
     if files.crop is not None:
         return files.crop[2:]
+    path = files.mask or files.image
+    if path is None and files.video is not None:
+        return files.video.window[2:]
     if path is None:
         raise InputError(f"frame {files.name}: expected a mask or an image, got neither")
     if path.suffix.lower() == ".json":

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -71,7 +70,7 @@ def read_mask(
         The file is not a valid mask; the message names the file and what was expected.
     """
     if Path(path).suffix.lower() == ".json":
-        kinds = None if label is None else frozenset([label] if isinstance(label, str) else map(str, _parts(label)))
+        kinds = None if label is None else frozenset(map(str, [label] if isinstance(label, int | str) else label))
         mask = read_coco_mask(Path(path), name, kinds)
         missing = "expected annotations of the instrument, got none"
     elif label is None:
@@ -121,7 +120,9 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
     return decode_image(path, data, "an image", cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
 
 
-def match_size(camera: Camera, shape: tuple[int, int], what: str = "mask") -> tuple[Camera, str | None]:
+def match_size(
+    camera: Camera, shape: tuple[int, ...], what: str = "mask", where: str = ""
+) -> tuple[Camera, str | None]:
     """Rescale a camera's intrinsics to the size of a mask or an image.
 
     Parameters
@@ -132,6 +133,8 @@ def match_size(camera: Camera, shape: tuple[int, int], what: str = "mask") -> tu
         Height and width in pixels.
     what
         Name of the mask or image in messages.
+    where
+        Beginning of messages.
 
     Returns
     -------
@@ -153,7 +156,7 @@ def match_size(camera: Camera, shape: tuple[int, int], what: str = "mask") -> tu
     rounded = min(abs(width - down * camera.width), abs(height - across * camera.height)) <= 0.5
     if off > (_ROUNDED_ASPECT if rounded else _ASPECT):
         raise InputError(
-            f"{what}: expected the calibration's size {sizes[1]}, or one of that aspect, got {sizes[0]} "
+            f"{where}{what}: expected the calibration's size {sizes[1]}, or one of that aspect, got {sizes[0]} "
             "(--crop x,y,w,h for a part of the picture, --stretch for one that was resized unevenly; of a session, "
             "crop or stretch of [camera] in session.toml)"
         )
@@ -211,11 +214,6 @@ def _decode_jpeg(data: bytes, flags: int) -> Any:
             raise
         pixels = simplejpeg.decode_jpeg(data, wanted, strict=False)
     return pixels[:, :, 0] if wanted == "GRAY" else pixels
-
-
-def _parts(label: LabelText) -> Sequence[int | str]:
-    """Return the parts of a label."""
-    return [label] if isinstance(label, int | str) else label
 
 
 def _is_inverted(mask: Bool) -> bool:

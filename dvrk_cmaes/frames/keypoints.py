@@ -77,13 +77,10 @@ def parse_keypoints(text: str) -> Float64:
     InputError
         Not four finite numbers.
     """
-    parts = [part.strip() for part in text.split(",")]
-    if len(parts) != 4:
-        raise InputError(f"keypoints: expected four numbers u1,v1,u2,v2 in pixels, got {len(parts)} ({shown(text)})")
-    for part in parts:
-        if not (is_number(part) and math.isfinite(float(part))):
-            raise InputError(f"keypoints: expected four finite numbers u1,v1,u2,v2 in pixels, got {shown(part)}")
-    return np.array([float(part) for part in parts]).reshape(2, 2)
+    numbers = [float(part) if is_number(part) else math.nan for part in text.split(",")]
+    if len(numbers) != 4 or not np.isfinite(numbers).all():
+        raise InputError(f"keypoints: expected four numbers u1,v1,u2,v2 in pixels, got {shown(text)}")
+    return np.array(numbers).reshape(2, 2)
 
 
 def read_keypoints(path: str | Path) -> dict[str, Float64]:

@@ -143,9 +143,8 @@ def with_overlaid(session: Session) -> Session:
             if own is not None:
                 own = replace(own, overlaid=encoded, notes=(*own.notes, OVERLAID))
                 frames[k] = own if number == 0 else replace(files, others={**files.others, view: own})
-    if any(files.overlaid is not None for files in frames):
-        return replace(session, frames=tuple(frames), notes=(*session.notes, OVERLAID))
-    return replace(session, frames=tuple(frames))
+    notes = (OVERLAID,) if any(files.overlaid is not None for files in frames) else ()
+    return replace(session, frames=tuple(frames), notes=(*session.notes, *notes))
 
 
 def _learned(frames: Sequence[FrameFiles]) -> Bool | None:

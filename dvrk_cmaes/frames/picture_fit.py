@@ -69,9 +69,8 @@ def parse_crop(where: str, given: str | tuple[int, ...]) -> Window:
     try:
         left, top, width, height = (int(part) for part in (given.split(",") if isinstance(given, str) else given))
     except ValueError:
-        raise InputError(f"{where}: expected x,y,w,h in whole pixels, got {shown(given)}") from None
+        left = top = width = height = -1
     if left < 0 or top < 0 or width < 1 or height < 1:
-        raise InputError(
-            f"{where}: expected x,y,w,h in pixels, x and y at least 0, w and h at least 1, got {shown(given)}"
-        )
+        expected = "x,y,w,h in whole pixels, x and y at least 0, w and h at least 1"
+        raise InputError(f"{where}: expected {expected}, got {shown(given)}")
     return left, top, width, height

@@ -36,7 +36,18 @@ def find_published_frames(root: Path) -> tuple[FrameFiles, ...]:
     frames = []
     for number, image in images:
         name = number if numbers.count(number) == 1 else f"{image.parent.name}_{number}"
-        frames.append(_frame(root, name, number, image))
+        masks = [path for path in sorted(image.parent.iterdir()) if _MASK.fullmatch(path.name)]
+        masks = [path for path in masks if int(path.stem) == int(number)]
+        paths = [image.with_name(f"{kind}_{number}.npy") for kind in ("joint", "jaw")]
+        check_own(root, (image, *masks, *paths))
+        problem, readings = None, {}
+        try:
+            if len(masks) > 1:
+                raise InputError(f"{masks[1]}: expected one mask for frame {name}, got {masks[0].name} too")
+            readings = frame_readings([read_joint_file(path) for path in paths if path.exists()], name, single=True)[0]
+        except InputError as error:
+            problem = str(error)
+        frames.append(FrameFiles(name, next(iter(masks), None), readings, image, problem=problem))
     return tuple(sorted(frames, key=lambda frame: natural(frame.name)))
 
 
@@ -51,20 +62,3 @@ def _images(root: Path) -> Iterator[tuple[str, Path]]:
             match = _IMAGE.fullmatch(path.name)
             if match is not None:
                 yield match[1], path
-
-
-def _frame(root: Path, name: str, number: str, image: Path) -> FrameFiles:
-    """Find the mask and the readings of an image by its number."""
-    masks = [path for path in sorted(image.parent.iterdir()) if _MASK.fullmatch(path.name)]
-    matching = [path for path in masks if int(path.stem) == int(number)]
-    paths = [image.with_name(f"{kind}_{number}.npy") for kind in ("joint", "jaw")]
-    check_own(root, (image, *matching, *paths))
-    problem, readings = None, {}
-    try:
-        if len(matching) > 1:
-            raise InputError(f"{matching[1]}: expected one mask for frame {name}, got {matching[0].name} too")
-        files = [read_joint_file(path) for path in paths if path.exists()]
-        readings = frame_readings(files, name, single=True)[0]
-    except InputError as error:
-        problem = str(error)
-    return FrameFiles(name, matching[0] if matching else None, readings, image, problem=problem)

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.io.yaml_file import yaml_documents
-from dvrk_cmaes.joints.names import IN_ORDER, joints_by_count, joints_of_arm, without_positions
+from dvrk_cmaes.joints.names import joints_by_count, joints_of_arm, notes_on_messages
 from dvrk_cmaes.joints.rows import JointFile, JointRow
 from dvrk_cmaes.joints.times import parse_stamp
 
@@ -91,9 +91,8 @@ def file_of_messages(
     if not rows:
         raise InputError(f"{path}: expected {EXPECTED}, got {f'{skipped} without positions' if skipped else 'none'}")
     unnamed = any(values and not stated for _, stated, values, _ in messages)
-    notes = [*([IN_ORDER] if unnamed else []), *([without_positions(skipped)] if skipped else [])]
     if len(rows) == 2:
         (where, first, time), (_, second, _) = rows.values()
         if not set(first) & set(second):
             rows = {"both": (where, {**first, **second}, time)}
-    return JointFile.of(path, kind, rows, "message", tuple(notes))
+    return JointFile.of(path, kind, rows, "message", notes_on_messages(unnamed=unnamed, skipped=skipped))

@@ -5,7 +5,6 @@ The lag is positive if the images are late: the image of time t shows the arm as
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -21,7 +20,7 @@ SIGN = "images late"
 LARGEST_SECONDS, LARGEST_FRAMES = 60.0, 1800.0
 """Largest magnitudes of a lag that is given by hand."""
 
-_TEXT = re.compile(r"([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?) ?(s|frames?)?")
+_TEXT = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?) ?(s|frames?)?")
 
 
 @dataclass(frozen=True)
@@ -70,18 +69,15 @@ class Lag:
             The lag as it was given.
         """
         match = _TEXT.fullmatch(text.strip())
-        expected = "a number of seconds such as 0.13, or of frames such as 4frames"
         if match is None:
+            expected = "a number of seconds such as 0.13, or of frames such as 4frames"
             raise InputError(f"{option}: expected {expected}, got {shown(text)}")
-        try:
-            value = float(match[1])
-        except ValueError:
-            raise InputError(f"{option}: expected {expected}, got {shown(text)}") from None
+        value = float(match[1])
         if value == 0:
             return cls(0.0, seconds=0.0)
         in_frames = (match[2] or "s").startswith("frame")
         most = LARGEST_FRAMES if in_frames else LARGEST_SECONDS
-        if not math.isfinite(value) or abs(value) > most:
+        if abs(value) > most:
             unit = "frames" if in_frames else "seconds"
             raise InputError(f"{option}: expected at most {most:g} {unit} in magnitude, got {shown(text)}")
         return cls(value) if in_frames else cls(None, seconds=value)
@@ -102,13 +98,9 @@ class Lag:
         value = self.seconds if unit == "s" else self.frames
         if value is not None:
             return value
-        if unit == "s":
-            raise InputError(
-                f"lag: expected a lag in seconds, such as 0.13, since the images have times, got {self.frames:g} frames"
-            )
-        raise InputError(
-            f"lag: expected a lag in frames, such as 4frames, since the images have no times, got {self.seconds:g} s"
-        )
+        expected = "seconds, such as 0.13" if unit == "s" else "frames, such as 4frames"
+        why = "have times" if unit == "s" else "have no times"
+        raise InputError(f"lag: expected a lag in {expected}, since the images {why}, got {self.text}")
 
     def known_in(self, unit: Unit) -> tuple[float | None, float | None]:
         """Return the lag and its standard deviation in a unit, None where they are not known in it.

@@ -31,12 +31,11 @@ READINGS = "a mapping of joint names to readings, e.g. {'jaw': 0.5}"
 
 _PREFIX = re.compile(r"(?:(PSM\d*|ECM\d*|MTM[LR]?|SUJ)(?:_|/|::?))?(?:outer_)?", re.IGNORECASE)
 
-IN_ORDER = "joints are not named: taken in the dVRK's order, by their number"
 
-
-def without_positions(count: int) -> str:
-    """Return the note on messages that have no joints, as before an arm is up."""
-    return f"{count} message{'' if count == 1 else 's'} without positions skipped"
+def notes_on_messages(*, unnamed: bool, skipped: int) -> tuple[str, ...]:
+    """Return notes on messages whose joints are not named, and on those that have no joints, as before an arm is up."""
+    notes = ["joints are not named: taken in the dVRK's order, by their number"] if unnamed else []
+    return (*notes, *([f"{skipped} message{'' if skipped == 1 else 's'} without positions skipped"] if skipped else []))
 
 
 def accepted_names(known: Iterable[str] = ()) -> tuple[str, ...]:

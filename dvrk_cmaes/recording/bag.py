@@ -19,7 +19,7 @@ from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.io.yaml_file import check_yaml
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
-from dvrk_cmaes.joints.names import ECM_JOINTS, IN_ORDER, without_positions
+from dvrk_cmaes.joints.names import ECM_JOINTS, notes_on_messages
 from dvrk_cmaes.joints.rows import JointFile
 from dvrk_cmaes.recording.camera import camera_file, read_camera_bytes
 from dvrk_cmaes.recording.messages import ecm_values, image_file, joint_places, joint_values, stamp, stamped_pose
@@ -108,14 +108,16 @@ def _recording(reader: AnyReader, path: Path, asked: Asked) -> Recording:
     else:
         notes.append(f"times: {'those of recording' if asked.recorded_times else 'those of the headers'}")
     by_recording = asked.recorded_times or bool(faults)
-    series = {arm: [own.series(recorded_times=by_recording) for own in of_arm] for arm, of_arm in read.items()}
-    if joints is not None:
-        series = {arm: [*own, *read_timed_joints(joints, arm or None)] for arm, own in series.items()}
-    for arm, of_arm in series.items():
-        name = f"{arm}: " if len(series) > 1 else ""
-        notes += [f"{name}{' '.join(own.joints)}: {own.source}" for own in of_arm]
-        notes += [f"{own.topic}: {note}" for own in read[arm] for note in own.notes]
-        if of_arm and not any("jaw" in own.joints for own in of_arm):
+    arms: dict[str, tuple[TimedReadings, ...]] = {}
+    for arm, of_arm in read.items():
+        given = () if joints is None else read_timed_joints(joints, arm or None)
+        times = {own.topic: own.recorded if by_recording else own.stamps for own in of_arm}
+        series = *(TimedReadings.of(own.topic, own.joints, times[own.topic], own.values) for own in of_arm), *given
+        name = f"{arm}: " if len(read) > 1 else ""
+        arms[arm if len(read) > 1 else ""] = series
+        notes += [f"{name}{' '.join(own.joints)}: {own.source}" for own in series]
+        notes += [f"{own.topic}: {note}" for own in of_arm for note in own.notes]
+        if series and not any("jaw" in own.joints for own in series):
             notes.append(f"{name}jaw: not read")
     images = iter(()) if image is None else _images(path, image, by_recording)
     return Recording(
@@ -123,7 +125,7 @@ def _recording(reader: AnyReader, path: Path, asked: Asked) -> Recording:
         images,
         sum(connection.msgcount for connection in reader.connections if connection.topic == image),
         lens,
-        {arm if len(series) > 1 else "": tuple(own) for arm, own in series.items()},
+        arms,
         tuple(notes),
         kept={SETUP: setup_text(setup).encode()} if setup else {},
         rectified=asked.rectified,
@@ -274,12 +276,8 @@ class _Readings:
             recorded.append(time)
         if not values:
             raise InputError(f"{where}: expected messages with positions, got {skipped} without")
-        notes = [*([IN_ORDER] if unnamed else []), *([without_positions(skipped)] if skipped and not of_ecm else [])]
-        return _Readings(topic, tuple(places), values, stamps, recorded, tuple(notes))
-
-    def series(self, *, recorded_times: bool) -> TimedReadings:
-        """Return the time series."""
-        return TimedReadings.of(self.topic, self.joints, self.recorded if recorded_times else self.stamps, self.values)
+        notes = notes_on_messages(unnamed=unnamed, skipped=0 if of_ecm else skipped)
+        return _Readings(topic, tuple(places), values, stamps, recorded, notes)
 
 
 def _images(path: Path, topic: str, recorded_times: bool) -> Iterator[RecordedImage]:

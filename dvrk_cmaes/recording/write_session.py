@@ -171,13 +171,11 @@ def write_session(
 def _selected(images: Iterator[RecordedImage], every: int, start: float, end: float) -> Iterator[RecordedImage]:
     """Yield every Nth of the images between two times, s after the first image, beginning with the first of these."""
     first: int | None = None
-    in_interval = 0
+    inside = count()
     for image in images:
         first = image.time if first is None else first
-        if start <= (image.time - first) / NANOSECONDS <= end:
-            if in_interval % every == 0:
-                yield image
-            in_interval += 1
+        if start <= (image.time - first) / NANOSECONDS <= end and next(inside) % every == 0:
+            yield image
 
 
 def _seconds_text(time: int) -> str:

@@ -33,7 +33,8 @@ def as_seen_with(frame: SessionFrame) -> SessionFrame:
     pose = frame.result.camera_from_root.copy()
     pose[2, 3] /= SCALE
     result = replace(frame.result, camera_from_root=pose, alternatives=())
-    return replace(frame, data=frame.data.with_camera(WRONG), result=result)
+    seen = replace(frame.data.views[0], camera=WRONG)
+    return replace(frame, data=replace(frame.data, views=(seen,)), result=result)
 
 
 @pytest.fixture(scope="module")
