@@ -18,7 +18,7 @@ import numpy as np
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Bool
-from dvrk_cmaes.io.image_header import MOST_PIXELS, foreign
+from dvrk_cmaes.io.image_header import MOST_PIXELS, check_pixels, foreign
 from dvrk_cmaes.io.json_file import read_json, read_json_object
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.rows import number_of
@@ -169,10 +169,7 @@ def _size(path: Path, field: str, value: Any) -> tuple[int, int]:
     pair = list(value) if isinstance(value, list | tuple) else []
     if len(pair) != 2 or not all(isinstance(n, int) and not isinstance(n, bool) and n > 0 for n in pair):
         raise InputError(f"{path}: {field}: expected height and width in pixels, got {shown(value)}")
-    if pair[0] * pair[1] > MOST_PIXELS:
-        raise InputError(
-            f"{path}: {field}: expected at most {MOST_PIXELS // 10**6} megapixels, got {pair[1]} x {pair[0]}"
-        )
+    check_pixels(f"{path}: {field}", pair[1], pair[0])
     return pair[0], pair[1]
 
 

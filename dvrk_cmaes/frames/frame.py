@@ -23,16 +23,13 @@ from dvrk_cmaes.frames.images import match_size, read_ignore, read_image, read_m
 from dvrk_cmaes.frames.keypoints import Hints
 from dvrk_cmaes.frames.label import Label
 from dvrk_cmaes.frames.seen_view import Mask, SeenView, seen_by, seen_views
-from dvrk_cmaes.frames.video_frames import VideoFrame
+from dvrk_cmaes.frames.video_frames import VideoFrame, Window, check_crop, part_of
 from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.image_header import read_header
 from dvrk_cmaes.results.result import Result
 
 T = TypeVar("T")
-
-Window = tuple[int, int, int, int]
-"""Left, top, width and height of a part of a picture, px."""
 
 _LARGEST = 400_000_000  # bytes
 _NEAR = 2  # px beside another tool, where its outline and this one's cannot be distinguished
@@ -263,19 +260,14 @@ def _cropped(files: FrameFiles, pixels: NDArray[Any], path: Path) -> NDArray[Any
     """Return the part of a picture (H, W, ...) that is used; InputError if that is not inside."""
     if files.crop is None:
         return pixels
-    left, top, width, height = files.crop
-    if left + width > pixels.shape[1] or top + height > pixels.shape[0]:
-        raise InputError(
-            f"{path}: --crop: expected a part of {_size(pixels.shape)} px, got {','.join(map(str, files.crop))}"
-        )
-    return np.ascontiguousarray(pixels[top : top + height, left : left + width])
+    check_crop(path, files.crop, (pixels.shape[1], pixels.shape[0]))
+    return part_of(pixels, files.crop)
 
 
 def _cropped_like(files: FrameFiles, pixels: Bool, shape: tuple[int, ...]) -> Bool:
     """Return pixels of the whole images for a mask or an image of some shape, of the part that is used."""
     if files.crop is not None:
-        left, top, width, height = files.crop
-        pixels = pixels[top : top + height, left : left + width]
+        pixels = part_of(pixels, files.crop)
     if pixels.shape == shape[:2]:
         return pixels
     return np.asarray(cv2.resize(pixels.astype(np.uint8), shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0)

@@ -24,7 +24,7 @@ from dvrk_cmaes.frames.label import ANY, Label, LabelText, is_of_colours, named,
 from dvrk_cmaes.frames.label import EXPECTED as LABEL
 from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.io.files import read_bytes
-from dvrk_cmaes.io.image_header import MOST_PIXELS, ImageHeader, checked_png, foreign, palette_as_grey, read_header
+from dvrk_cmaes.io.image_header import ImageHeader, check_pixels, checked_png, foreign, palette_as_grey, read_header
 from dvrk_cmaes.io.short_text import shown
 
 _LARGEST = 400_000_000  # bytes
@@ -172,10 +172,7 @@ def _read_file(path: str | Path, what: str) -> tuple[bytes, ImageHeader]:
     header = read_header(data)
     if header is None:
         raise InputError(f"{path}: expected {expected}, got {foreign(data)}")
-    if header.width * header.height > MOST_PIXELS:
-        raise InputError(
-            f"{path}: expected at most {MOST_PIXELS // 1_000_000} megapixels, got {header.width} x {header.height}"
-        )
+    check_pixels(str(path), header.width, header.height)
     if not header.whole:
         raise InputError(f"{path}: expected {expected}, got one that is cut off or damaged")
     return data, header

@@ -8,7 +8,8 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.fields import Size
 from dvrk_cmaes.camera.files import CameraFile
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.frame import FrameFiles, Window, frame_size
+from dvrk_cmaes.frames.frame import FrameFiles, frame_size
+from dvrk_cmaes.frames.video_frames import Window
 from dvrk_cmaes.io.short_text import shown
 
 _SAME_ASPECT = 0.005

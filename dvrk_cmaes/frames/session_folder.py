@@ -37,7 +37,7 @@ from dvrk_cmaes.frames.picture_fit import fitted
 from dvrk_cmaes.frames.published_layout import find_published_frames, is_published_layout
 from dvrk_cmaes.frames.session_toml import CameraEntry, ToolEntry, read_session_toml
 from dvrk_cmaes.frames.truth import SessionTruth, read_golden
-from dvrk_cmaes.frames.video_frames import Video, VideoFrame
+from dvrk_cmaes.frames.video_frames import Video, VideoFrame, frame_name
 from dvrk_cmaes.io.arguments import PATH, check_type
 from dvrk_cmaes.io.files import check_own
 from dvrk_cmaes.io.image_header import foreign
@@ -60,7 +60,6 @@ NO_READINGS = "readings: none"
 UNCALIBRATED = "without a calibration: `dvrk-cmaes calibrate FOLDER`, with readings (`dvrk-cmaes help uncalibrated`)"
 """What to do where there is no camera file."""
 
-_DIGITS = 6  # of the name of a frame that is only numbered
 _COUNTED = 3  # frames from which on their numbers may be those of every N-th image
 _MANY = 2  # times as many rows as frames that are the first of them
 _VIEWS = ("left", "right")
@@ -499,7 +498,7 @@ def _filmed(video: Video, files: Sequence[JointFile], masks: Sequence[str]) -> d
     rows = next((tuple(file.names) for file in files if file.labels == "frame"), None)
     if len(masks) != count and rows is not None and len(rows) != count:
         raise InputError(f"{video.path}: expected {len(rows)} frames, as joints.csv has, got {count}")
-    names = masks if len(masks) == count else rows or [f"{number:0{_DIGITS}d}" for number in range(count)]
+    names = masks if len(masks) == count else rows or [*map(frame_name, range(count))]
     return {name: VideoFrame(video, number, (0, 0, *video.size)) for number, name in enumerate(names)}
 
 

@@ -31,9 +31,9 @@ from typing import Any, Final, Literal, TypeVar
 from msgspec import Struct
 
 from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.frames.frame import Window
 from dvrk_cmaes.frames.label import Label, parse_label
 from dvrk_cmaes.frames.picture_fit import parse_crop
+from dvrk_cmaes.frames.video_frames import Window
 from dvrk_cmaes.io.files import check_own
 from dvrk_cmaes.io.toml_file import read_toml
 from dvrk_cmaes.io.typed_document import convert_document

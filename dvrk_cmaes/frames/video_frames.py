@@ -18,7 +18,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.files import Side
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.files import check_file
-from dvrk_cmaes.io.image_header import MOST_PIXELS
+from dvrk_cmaes.io.image_header import check_pixels
 from dvrk_cmaes.io.video_writer import quiet_ffmpeg
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 
@@ -26,6 +26,7 @@ Layout = Literal["mono", "side-by-side", "top-bottom"]
 """Where the eyes are in a picture."""
 
 Window = tuple[int, int, int, int]
+"""Left, top, width and height of a part of a picture, px."""
 
 _SILENT = 0  # level of the log of OpenCV
 SUFFIXES: Final = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".ts", ".webm", ".wmv")
@@ -50,8 +51,7 @@ class Video:
         self.path, self._expected = path, expected
         capture = self._opened()
         width, height = (int(capture.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
-        if width * height > MOST_PIXELS:
-            raise InputError(f"{path}: expected at most {MOST_PIXELS // 10**6} megapixels, got {width} x {height}")
+        check_pixels(str(path), width, height)
         self.size = width, height
         self.stated = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT))) or None
         self._rate = capture.get(cv2.CAP_PROP_FPS)
@@ -141,10 +141,7 @@ class Video:
             "top-bottom": (0, second * (height - half[1]), width, half[1]),
         }
         if crop is not None:
-            if crop[0] + crop[2] > width or crop[1] + crop[3] > height:
-                raise InputError(
-                    f"{self.path}: --crop: expected a part of {width} x {height} px, got {','.join(map(str, crop))}"
-                )
+            check_crop(self.path, crop, self.size)
             layout, parts["mono"] = "mono", crop
         fitting = [name for name, part in parts.items() if camera is None or _is_like(part, camera)]
         layout = layout or next(iter(fitting), None)
@@ -172,14 +169,26 @@ def _is_like(part: Window, camera: Camera) -> bool:
     return abs(width - height) < _SAME_ASPECT * height
 
 
+def check_crop(path: Path, crop: Window, size: tuple[int, int]) -> None:
+    """Raise an InputError for a part of a picture of a size (width, height), px, that is not inside."""
+    if crop[0] + crop[2] > size[0] or crop[1] + crop[3] > size[1]:
+        got = ",".join(map(str, crop))
+        raise InputError(f"{path}: --crop: expected a part of {size[0]} x {size[1]} px, got {got}")
+
+
 def own_video(folder: Path) -> Path | None:
     """Return the video of a session folder; None if it has none, or a folder of images."""
     path = folder / "video.mp4"
     return path if path.exists() and not (folder / "images").is_dir() else None
 
 
-def eye_of(picture: NDArray[np.uint8], window: Window) -> NDArray[np.uint8]:
-    """Return the part of a picture (H, W, ...) that is one eye's."""
+def frame_name(number: int) -> str:
+    """Return the name in a session of the image of a number, from zero."""
+    return f"{number:06d}"
+
+
+def part_of(picture: NDArray[Any], window: Window) -> NDArray[Any]:
+    """Return a part of a picture (H, W, ...), such as one eye's."""
     left, top, width, height = window
     return np.ascontiguousarray(picture[top : top + height, left : left + width])
 
@@ -194,4 +203,4 @@ class VideoFrame:
 
     def image(self) -> NDArray[np.uint8]:
         """Decode the frame's window, (H, W, 3) uint8 BGR."""
-        return eye_of(self.video.image(self.number), self.window)
+        return part_of(self.video.image(self.number), self.window)

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 
 import simplejpeg
 
+from dvrk_cmaes.errors import InputError
+
 #: Largest number of pixels of an image that is decoded: above the 33 of 8K; an estimate takes 30 bytes for each.
 MOST_PIXELS = 36_000_000
 
@@ -53,6 +55,13 @@ def read_header(data: bytes) -> ImageHeader | None:
     except (struct.error, ValueError, KeyError):  # the last: a sampling of colours that simplejpeg does not know
         return None
     return header if header.width > 0 and header.height > 0 else None
+
+
+def check_pixels(where: str, width: int, height: int) -> None:
+    """Raise an InputError, which begins with ``where``, for an empty picture or one of more than `MOST_PIXELS`."""
+    if not 0 < width * height <= MOST_PIXELS:
+        least = "at most" if width * height else "1 pixel to"
+        raise InputError(f"{where}: expected {least} {MOST_PIXELS // 10**6} megapixels, got {width} x {height}")
 
 
 _FOREIGN = (

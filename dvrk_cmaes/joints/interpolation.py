@@ -22,19 +22,17 @@ Known = Bool
 Gaps = Callable[[Times, Times, Times], Known]
 
 
-def known_where(*, away: float = np.inf, apart: float = np.inf, beyond: float = 0.0, at_readings: bool = True) -> Gaps:
+def known_where(*, away: float = np.inf, apart: float = np.inf, beyond: float = 0.0) -> Gaps:
     """Return the rule that readings are known between two that are at most ``apart``, both at most ``away``.
 
-    They are known up to ``beyond`` before the first reading and after the last, too, and at the times of readings,
-    unless these are not ``at_readings``: a longer gap then includes the reading that ends it, and one after the first
-    reading the first as well.
+    They are known up to ``beyond`` before the first reading and after the last, too, and at the times of readings.
     """
 
     def known(times: Times, earlier: Times, later: Times) -> Known:
         farther = np.maximum(times - earlier, later - times)
         outside = np.maximum(earlier - times, times - later)
         inside = (outside <= 0) & (farther <= away) & (later - earlier <= apart)
-        at_one = at_readings & ((times == earlier) | (times == later))
+        at_one = (times == earlier) | (times == later)
         return np.asarray(inside | at_one | ((outside > 0) & (outside <= beyond)))
 
     return known

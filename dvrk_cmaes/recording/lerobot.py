@@ -23,7 +23,7 @@ from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.parquet_file import read_columns
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
-from dvrk_cmaes.joints.names import ARM_ORDER, joint_reading
+from dvrk_cmaes.joints.names import ARM_ORDER, joint_reading, joints_of_arm
 from dvrk_cmaes.recording.camera import read_camera_bytes
 from dvrk_cmaes.recording.pose_table import POSE, joints_of_poses, poses_of
 from dvrk_cmaes.recording.recording import Asked, Recording
@@ -159,34 +159,23 @@ def _fields(file: Path, info: Mapping[str, Any], arm: str | None) -> tuple[dict[
         names = next(iter(names.values()))
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise InputError(f"{file}: features: {_STATE}: names: expected a list of names, got {shown(names)}")
-    found: dict[str, dict[str, int]] = {}
-    unknown = []
-    for k, name in enumerate(names):
-        own, joint = _joint(name)
-        if joint is None:
-            unknown.append(name)
-        elif joint in found.setdefault(own, {}):
-            raise InputError(f"{file}: {_STATE}: expected {joint} once, got it again as {shown(name)}")
-        else:
-            found[own][joint] = k
-    if not found:
+    split = [_joint(name) for name in names]
+    known = [k for k, (_, joint) in enumerate(split) if joint]
+    if not known:
         raise InputError(f"{file}: {_STATE}: expected names of joints such as PSM1.yaw, got {listed(names, 40)}")
-    if (arm is None and len(found) > 1) or (arm is not None and arm.upper() not in found):
-        raise InputError(
-            f"{file}: --arm: expected one of {listed(own or 'without a name' for own in found)}, got {arm}"
-        )
-    chosen = arm.upper() if arm is not None else next(iter(found))
-    taken = found[chosen]
+    stated = ["_".join(filter(None, split[k])) for k in known]
+    places = joints_of_arm(f"{file}: {_STATE}", stated, (*ARM_ORDER, "jaw", *POSE), arm)
+    taken = {joint: known[place] for joint, place in places.items()}
     posed = {*POSE} <= {*taken} and not {*ARM_ORDER} & {*taken}
     taken = {name: k for name, k in taken.items() if posed or name not in POSE}
+    chosen = next((own for own, _ in split if own), "") if arm is None else arm.upper()
     said = [f"{_STATE} ({chosen})" if chosen else _STATE, *(f"{j}: {names[k]}" for j, k in taken.items())]
-    used = {*taken.values()}
-    others = [*unknown, *(names[k] for joints in found.values() for k in joints.values() if k not in used)]
-    return taken, [*said, *([f"not taken: {listed(others, 40)}"] if others else [])]
+    others = listed([name for k, name in enumerate(names) if k not in taken.values()], 40)
+    return taken, [*said, *([f"not taken: {others}"] if others else [])]
 
 
-def _joint(name: str) -> tuple[str, str | None]:
-    """Return the arm, upper case or empty, and the joint or the part of its pose that a name means; None for none."""
+def _joint(name: str) -> tuple[str, str]:
+    """Return the arm, upper case or empty, and the joint or the part of its pose that a name means, empty for none."""
     match = _ARM.fullmatch(name)
     arm, rest = (match[1] or "", match[2]) if match else ("", name)
     plain = re.sub(r"[./ -]+", "_", rest.lower()).removesuffix("_pos")
@@ -195,7 +184,7 @@ def _joint(name: str) -> tuple[str, str | None]:
     if (numbered := _NUMBERED.fullmatch(plain)) is not None:
         return arm.upper(), ARM_ORDER[int(numbered[1]) - 1]
     plain = _PREFIX.sub("", _PREFIX.sub("", plain, count=1), count=1)
-    return arm.upper(), plain if plain in (*ARM_ORDER, "jaw") else None
+    return arm.upper(), plain if plain in (*ARM_ORDER, "jaw") else ""
 
 
 def _readings(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.geometry import Float64, exp_rotation, transform
 from dvrk_cmaes.instrument.endoscope import joints_of_ecm_tip
-from dvrk_cmaes.io.image_header import MOST_PIXELS, read_header
+from dvrk_cmaes.io.image_header import check_pixels, read_header
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.names import OUTER_JOINTS, accepted_names, joints_by_count, joints_of_arm
@@ -67,7 +67,7 @@ def image_pixels(message: Any, where: str) -> NDArray[np.uint8]:
         got = f"{shown(message.encoding)}: ROS' image_proc or cv_bridge converts it"
         raise InputError(f"{where}: encoding: expected one of {names}, got {got}")
     channels, conversion = _ENCODINGS[message.encoding]
-    _check_size(width, height, where)
+    check_pixels(where, width, height)
     if step < width * channels or len(message.data) < step * height:
         raise InputError(
             f"{where}: expected {width} x {height} pixels of {message.encoding}, "
@@ -92,16 +92,10 @@ def stored_image(data: bytes, where: str) -> bytes:
     header = read_header(data)
     if header is None:
         raise InputError(f"{where}: expected a PNG or JPEG, got something else or a damaged file")
-    _check_size(header.width, header.height, where)
+    check_pixels(where, header.width, header.height)
     if not header.whole:
         raise InputError(f"{where}: expected a whole PNG or JPEG, got one that is cut off or damaged")
     return data
-
-
-def _check_size(width: int, height: int, where: str) -> None:
-    """Raise InputError for an empty image or one of more than `MOST_PIXELS` pixels."""
-    if not 0 < width * height <= MOST_PIXELS:
-        raise InputError(f"{where}: expected 1 to {MOST_PIXELS} pixels, got {width} x {height}")
 
 
 def joint_places(message: Any, where: str, arm: str | None = None) -> dict[str, int]:

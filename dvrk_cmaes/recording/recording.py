@@ -10,7 +10,7 @@ from typing import Any
 
 from dvrk_cmaes.camera.files import Side
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.video_frames import Layout, Window
+from dvrk_cmaes.frames.video_frames import Layout, Window, frame_name
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.instrument.dvrk_description import Tool
@@ -20,13 +20,7 @@ from dvrk_cmaes.joints.reading import read_joint_file
 from dvrk_cmaes.joints.rows import JointFile, ReadAs
 from dvrk_cmaes.recording.pose_table import PosePoint, read_timed_joints
 
-_DIGITS = 6  # number of digits of a frame's name
 _PLAIN = re.compile(r"[\w-][\w.-]*")  # a row's name that is also that of a file
-
-
-def frame_name(number: int) -> str:
-    """Return the name in a session of the image of a number, from zero."""
-    return f"{number:0{_DIGITS}d}"
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ import numpy as np
 
 from dvrk_cmaes.camera.fields import Side, as_number
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.video_frames import Video
+from dvrk_cmaes.frames.video_frames import Video, frame_name
 from dvrk_cmaes.io.csv_file import csv_text
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import shown
@@ -34,7 +34,7 @@ from dvrk_cmaes.io.yaml_file import read_yaml_by_frame
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
 from dvrk_cmaes.joints.names import joint_reading
 from dvrk_cmaes.recording.camera import read_camera_bytes, read_stereo_ini
-from dvrk_cmaes.recording.recording import Asked, Recording, frame_name, listed_readings, series_of_rows
+from dvrk_cmaes.recording.recording import Asked, Recording, listed_readings, series_of_rows
 from dvrk_cmaes.recording.surgsync import chosen_arm
 from dvrk_cmaes.recording.video import images_of
 

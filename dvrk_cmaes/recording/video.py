@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera.files import Side, read_camera_file
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.session_folder import UNCALIBRATED
-from dvrk_cmaes.frames.video_frames import SUFFIXES, Video, Window, eye_of
+from dvrk_cmaes.frames.video_frames import SUFFIXES, Video, Window, part_of
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
@@ -129,4 +129,4 @@ def images_of(
 
 def _png_of(decoded: Callable[[], NDArray[np.uint8]], part: Window) -> bytes:
     """Decode a frame, and encode a part of it as PNG."""
-    return encode_png(eye_of(decoded(), part))
+    return encode_png(part_of(decoded(), part))

@@ -99,7 +99,8 @@ def imported(made: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest
 
 def test_arm_camera_and_episode_are_asked_for(imported: Import) -> None:
     assert "--camera: expected a camera file" in imported("--arm", "PSM1").refusal
-    assert "--arm: expected one of PSM1, PSM2" in imported("--camera", "camera.yaml").refusal
+    said = "expected the joints of one arm, got those of PSM1, PSM2"
+    assert said in imported("--camera", "camera.yaml").refusal
     imported("--arm", "PSM1", "--camera", "camera.yaml", "--episode", 7).refusal  # noqa: B018
 
 
