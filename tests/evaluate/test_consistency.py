@@ -155,7 +155,7 @@ def test_wrong_input_is_refused_without_output(
         (f"{HEADER}\n", "expected a row for each frame, got a header only"),
         (f"{HEADER}\na,0,0,0,0,0,x,0,0,0,0\n", "line 2: tz: expected a finite number, got 'x'"),
         (f"{HEADER}\na,0,0,0,0,0,0\n", "line 2: expected 11 cells as in the header, got 7"),
-        (f"{HEADER}\n" + "a,0,0,0,0,0,1,0,0,0,0\n" * 2, "line 3: frame: expected a name, each once, got 'a'"),
+        (f"{HEADER}\n" + "a,0,0,0,0,0,1,0,0,0,0\n" * 2, "line 3: frame: expected each frame once, got 'a' again"),
     ],
 )
 def test_damaged_pose_table_is_refused_with_line(tmp_path: Path, text: str, expected: str) -> None:
