@@ -7,6 +7,8 @@ expected.
 from __future__ import annotations
 
 import difflib
+import shlex
+import sys
 from collections.abc import Iterable
 
 
@@ -20,6 +22,23 @@ class InputError(DvrkCmaesError):
     """Wrong usage or input (exit code 2); the message names the file, the field and what was expected."""
 
     exit_code = 2
+
+
+def missing_extra(what: str, extra: str) -> InputError:
+    """Return the error where an optional dependency is not installed; it states the command for this environment.
+
+    Parameters
+    ----------
+    what
+        What needs it.
+    extra
+        Name of the package's extra that has it.
+    """
+    from importlib.metadata import requires
+
+    needed = [each.partition(";")[0] for each in requires("dvrk-cmaes") or () if f'extra == "{extra}"' in each]
+    command = shlex.join([sys.executable, "-m", "pip", "install", *needed])
+    return InputError(f"{what}, which is not installed; run: {command}")
 
 
 def nearest_first(name: str, known: Iterable[str]) -> list[str]:

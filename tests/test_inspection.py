@@ -164,7 +164,7 @@ def test_session_of_several_arms_is_described_by_arm(tmp_path: Path) -> None:
 
 def typed(lines: tuple[str, ...]) -> list[str]:
     """Give the command that a finding says to type next; its options must exist."""
-    command = shlex.split(lines[-1].split("next: dvrk-cmaes ")[1])
+    command = shlex.split(lines[0].split("next: dvrk-cmaes ")[1])
     app.parse_args(command, exit_on_error=False, print_error=False)
     return command
 
@@ -173,7 +173,8 @@ def test_video_has_size_count_rate_and_the_command_that_imports_it(tmp_path: Pat
     write_video(tmp_path / "a b.mp4", code="mp4v")
     found = inspect_path(tmp_path / "a b.mp4")
     assert found.kind == "video"
-    assert found.lines[0] == "{width} x {height} px, {images} images, {rate:.2f} a second".format(**found.read)
+    assert found.lines[1] == "needed, and not beside it: camera.yaml, joints.csv"
+    assert found.lines[2] == "{width} x {height} px, {images} images, {rate:.2f} a second".format(**found.read)
     assert typed(found.lines)[:4] == ["import", str(tmp_path / "a b.mp4"), "--camera", "camera.yaml"]
 
 
@@ -182,6 +183,8 @@ def test_video_beside_camera_and_readings_is_taken_for_a_recording(tmp_path: Pat
     for name in ("camera.yaml", "joints.csv"):
         (tmp_path / name).touch()
     assert typed(inspect_path(tmp_path / "v.mp4").lines) == ["track", str(tmp_path / "v.mp4")]
+    (tmp_path / "labels").mkdir()
+    assert typed(inspect_path(tmp_path / "v.mp4").lines)[-4:-2] == ["--masks", str(tmp_path / "labels")]
 
 
 def test_lerobot_set_says_which_command_imports_it(tmp_path: Path) -> None:
@@ -198,5 +201,5 @@ def test_session_says_its_clock_and_what_it_is_taken_for(tmp_path: Path) -> None
     assert [line for line in found.lines if line.startswith("clock: ")] == [
         "clock: none; 5 rows of readings, in the order of the frames"
     ]
-    assert found.lines[-1].startswith("taken for frames of one arm and one camera; next: ")
+    assert found.lines[0].startswith("taken for frames of one arm and one camera; next: ")
     assert typed(found.lines) == ["calibrate", str(ROOT / "data" / "demo")]

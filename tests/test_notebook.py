@@ -10,7 +10,7 @@ from io import StringIO
 from typing import Any
 
 import pytest
-from helpers.places import ROOT, SCRIPTS
+from helpers.places import SCRIPTS
 from helpers.printed_blocks import run, words
 
 
@@ -26,7 +26,7 @@ def test_notebook_runs_from_a_folder_to_plots_as_its_outputs_show(monkeypatch: p
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    monkeypatch.chdir(ROOT)
+    monkeypatch.chdir(SCRIPTS / "examples")
     monkeypatch.setattr(subprocess, "run", here)
     notebook = json.loads((SCRIPTS / "examples" / "folder_to_plots.ipynb").read_text(encoding="utf-8"))
     names: dict[str, Any] = {}

@@ -61,7 +61,7 @@ def demo(
     with output(out, "demo", wait=LONG):
         page = write_page(out)
     if not json:
-        calibrate = f"dvrk-cmaes calibrate {session.folder} --out calibrated"
-        show([Line(f"Page: {page}   overlays: {out / 'overlays'}   results: {out / 'frames'}")])
-        show([Line(f"next: {calibrate}; of your own files: dvrk-cmaes inspect FOLDER")])
+        show([Line(f"page: {page}   results: {out / 'frames'}")])
+        show([Line(f"next: dvrk-cmaes calibrate {session.folder} --out calibrated")])
+        show([Line("of your own files: dvrk-cmaes inspect FOLDER")])
     return 0 if right else FAILED

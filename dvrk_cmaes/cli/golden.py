@@ -246,9 +246,9 @@ def _lines(checks: Sequence[tuple[Result, PoseCheck]], tolerance: Tolerance) -> 
     for result, check in checks:
         cells = {row.measured.quantity: row.measured for row in check.rows}
         shown = [f"{e.error:.2f}{'!' * e.exceeds}" if (e := cells.get(name)) else "-" for name in quantities]
-        stated = None if result.expected_error is None else result.expected_error.of_tips_mm
-        rows.append((result.frame, result.status, fixed(stated, 2), *shown))
-    yield Line("Errors against the golden poses (root and tip in mm, all else in deg; ! is off); stated: std of tip")
+        stated = None if result.expected_error is None else result.expected_error.tip_90_mm
+        rows.append((result.frame, result.status, fixed(stated, 1), *shown))
+    yield Line("Errors: root and tip in mm, else deg (! is off); stated: tips within, mm (90 %)")
     yield from table_lines(Table(("frame", "status", "stated", *quantities), rows))
     for result, check in checks:
         if not check.right:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import ClassVar
@@ -18,7 +17,7 @@ _RELATIVE_LINK = re.compile(r"\[([^\]]*)\]\((?!\w+://)[^)]*\)")
 def help_topic(topic: str | None = None, /, *, search: str | None = None) -> int:
     """Print a reference page, or the options of a command; without a topic, list the topics.
 
-    On a terminal the page is formatted; a pipe or a file gets its Markdown text. Exit codes: 0 ok, 2 unknown topic.
+    Pages have the width of the terminal, of $COLUMNS, or else 80 columns. Exit codes: 0 ok, 2 unknown topic.
 
     Examples
     --------
@@ -88,10 +87,7 @@ def _read(path: Path) -> str:
 
 
 def _print_markdown(text: str) -> None:
-    """Print Markdown formatted if stdout is a terminal, unchanged otherwise; a terminal gets relative links as text."""
-    if not sys.stdout.isatty():
-        print(text, end="")
-        return
+    """Print formatted Markdown, with styles if stdout is a terminal, and relative links as text."""
     from rich.console import Console, ConsoleOptions, RenderResult
     from rich.markdown import CodeBlock, Markdown
     from rich.text import Text

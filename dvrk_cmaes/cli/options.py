@@ -387,8 +387,8 @@ class SegmentOptions(PromptOptions):
     Parameters
     ----------
     model
-        Segmentation model: classic uses colour and shape and needs no weights; sam2 is Segment Anything 2 (pip install
-        '.[sam2]').
+        Segmentation model: classic uses colour and shape and needs no weights; sam2 is Segment Anything 2, by the
+        library onnxruntime.
     weights
         Folder with the encoder and the decoder of an exported checkpoint; required for sam2.
     """

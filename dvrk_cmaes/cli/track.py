@@ -85,8 +85,7 @@ class TrackOptions:
     page
         --no-page leaves out report.html, the page with the recording, curves over time and places to look at.
     rerun
-        File .rrd for the Rerun viewer: images, masks, meshes, camera and joints on a timeline. Needs rerun-sdk (pip
-        install '.[viewer]').
+        File .rrd for the Rerun viewer: images, masks, meshes, camera and joints on a timeline. Needs rerun-sdk.
     evidence
         masks or images; by default the masks of frames that have one, and the images of the others.
     first_mask

@@ -1,1 +1,1 @@
-"""Drawings of results: overlays over images with OpenCV, and figures with matplotlib."""
+"""Drawings of results: overlays over images."""

@@ -381,10 +381,10 @@ def _inspect_bag(path: Path) -> Finding:
     from dvrk_cmaes.recording.bag import list_topics
 
     seconds, topics = list_topics(path)
-    lines = [f"{seconds:.3f} s, {len(topics)} topics"]
+    lines = [_next_command("import", path, "--out", "session"), f"{seconds:.3f} s, {len(topics)} topics"]
     lines += [f"{name}: {kind}, {count} messages, {rate:.1f} a second" for name, (kind, count, rate) in topics.items()]
     read = {"seconds": seconds, "topics": {n: {"type": kind, "messages": k} for n, (kind, k, _) in topics.items()}}
-    return Finding("ROS recording", tuple(lines), read, ("dvrk-cmaes import reads images, camera and readings of it",))
+    return Finding("ROS recording", tuple(lines), read)
 
 
 def _inspect_video(path: Path) -> Finding:
@@ -399,14 +399,16 @@ def _inspect_video(path: Path) -> Finding:
     if width >= _BOTH_EYES * height or width < _STACKED * height:
         layout = "side-by-side" if width > height else "top-bottom"
         notes.append(f"of this shape it may show both eyes: then give --layout {layout}")
-    folder, masks = path.parent, path.parent / "masks"
-    if (folder / "camera.yaml").is_file() and (folder / "joints.csv").is_file() and not masks.is_dir():
-        lines += ["taken for a recording: camera.yaml and joints.csv are in its folder", _next_command("track", path)]
+    folder = path.parent
+    own = [folder / name for name in ("camera.yaml", "joints.csv")]
+    missing = [file.name for file in own if not file.is_file()]
+    masks = [word for name in ("masks", "labels") if (folder / name).is_dir() for word in ("--masks", folder / name)]
+    if missing or masks:
+        camera, joints = (file.name if file.name in missing else file for file in own)
+        words = ("import", path, "--camera", camera, "--joints", joints, *masks[:2], "--out", "session")
+        lines[:0] = [_next_command(*words), *([f"needed, and not beside it: {', '.join(missing)}"] if missing else [])]
     else:
-        beside = {name: folder / name if (folder / name).exists() else name for name in ("camera.yaml", "joints.csv")}
-        own = ["--camera", beside["camera.yaml"], "--joints", beside["joints.csv"]]
-        words = [*own, *(["--masks", masks] if masks.is_dir() else []), "--out", "session"]
-        lines += ["a camera file is needed, and readings", _next_command("import", path, *words)]
+        lines.insert(0, f"taken for a recording, beside camera.yaml and joints.csv; {_next_command('track', path)}")
     read = {"width": width, "height": height, "images": count, "rate": rate}
     return Finding("video", tuple(lines), read, tuple(notes))
 
@@ -417,7 +419,7 @@ def _inspect_folder(path: Path, options: Options) -> Finding:
         return _inspect_results(path)
     if is_lerobot(path):
         words = ("import", path, "--episode", 0, "--camera", "camera.yaml", "--out", "session")
-        return Finding("LeRobot data set", ("no camera file: --camera is needed", _next_command(*words)))
+        return Finding("LeRobot data set", (_next_command(*words), "no camera file: --camera is needed"))
     pictures = [p for p in sorted(path.iterdir()) if p.suffix.lower() in _PICTURES and not p.name.startswith(".")]
     videos = [file for file in path.iterdir() if file.suffix.lower() in _VIDEOS and file.name != "video.mp4"]
     if len(videos) == 1 and not pictures and not (path / "images").exists():
@@ -441,10 +443,10 @@ def _inspect_pictures(path: Path, pictures: Sequence[Path]) -> Finding:
         kinds[f"{finding.kind}, {finding.read['width']} x {finding.read['height']} px"] += 1
     skipped = sorted({file.name for file in path.iterdir()} - {picture.name for picture in pictures})
     lines = (
+        *([_next_command("batch", path, "--camera", "camera.yaml")] if "image" in str(kinds.keys()) else []),
         f"{counted(len(pictures), 'picture')}: {listed(picture.stem for picture in pictures)}",
         *(f"{number} of {len(pictures)}: {kind}" for kind, number in kinds.most_common()),
         *([f"skipped: {listed(skipped)}"] if skipped else []),
-        *([_next_command("batch", path, "--camera", "camera.yaml")] if "image" in str(kinds.keys()) else []),
     )
     read = {"pictures": [picture.stem for picture in pictures], "kinds": dict(kinds), "skipped": skipped}
     return Finding("folder of pictures", lines, read, (), tuple(problems))
@@ -491,16 +493,16 @@ def _of_arm(session: Session, instrument: str | None) -> Finding:
     wrong = [f"{session.folder}: {remark}" for remark in session.rig.remarks if remark.startswith(WRONG)]
     camera, joints = session.camera, dict.fromkeys(name for frame in frames for name in frame.readings)
     lines = [
+        _next(session),
+        *(remark for remark in session.rig.remarks if not remark.startswith(WRONG)),
+        *session.warnings,
         f"{counted(len(frames), 'frame')}: {listed(frame.name for frame in frames)}",
         f"of these with {', '.join(f'{name} {count}' for name, count in parts.items())}",
         *([f"joints read, in rad (insertion: m): {', '.join(joints)}"] if joints else []),
         *(note for note in session.notes if note.startswith(_DESCRIPTIONS)),
         f"camera {camera.width} x {camera.height} px, focal lengths {camera.fx:.3f} and {camera.fy:.3f} px",
-        *_clock(session),
-        *(remark for remark in session.rig.remarks if not remark.startswith(WRONG)),
-        *session.warnings,
         f"instrument {instrument or 'lnd, assumed: session.toml names none (--instrument)'}",
-        _next(session),
+        *_clock(session),
     ]
     found = (note for notes in opened if not isinstance(notes, str) for note in notes)
     other = ("a session folder", *_DESCRIPTIONS, *WARNED)

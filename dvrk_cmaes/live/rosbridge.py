@@ -15,7 +15,7 @@ from functools import partial
 from threading import Event
 from typing import Any, Final
 
-from dvrk_cmaes.errors import InputError, one_line
+from dvrk_cmaes.errors import missing_extra, one_line
 from dvrk_cmaes.live.connection import LARGEST_IMAGE, LARGEST_MESSAGE, Connection, Receive, Report, too_large
 
 _LONGEST_WAIT: Final = 2.0  # s, between attempts to connect
@@ -42,9 +42,7 @@ class RosbridgeConnection(Connection):
         try:
             import roslibpy
         except ImportError:
-            raise InputError(
-                "rosbridge: the library roslibpy, which connects to it, is not installed; run: pip install '.[ros]'"
-            ) from None
+            raise missing_extra("rosbridge: is connected to by the library roslibpy", "ros") from None
         self._roslibpy = roslibpy
         self._address = host, port
         super().__init__(f"rosbridge {host}:{port}")

@@ -150,7 +150,7 @@ def session_charts(results: Sequence[Result]) -> list[Chart]:
         for name in joints
     }
     tips = np.array([np.mean(result.tips, axis=0) if result.tips else [np.nan] * 3 for result in results]) * 1e3
-    charts = [chart("Joints, found less read", "found - read, deg", apart, "Found less read.")]
+    charts = [chart("Joints, found less read", "found - read, deg", apart, "")]
     if np.isfinite(tips).all(axis=1).sum() > 1:
         off = tips - np.nanmedian(tips, axis=0)
         note = "Mean of the tips, mm from its median: x right, y down, z forward."

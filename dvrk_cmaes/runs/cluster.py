@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from dvrk_cmaes.config import __version__
-from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.errors import DvrkCmaesError, InputError, missing_extra
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.runs.pool import Workers
 
@@ -43,8 +43,8 @@ def dask_executor(address: str, folder: str | Path) -> Iterator[Workers]:
     try:
         from distributed import Client
         from distributed.scheduler import KilledWorker
-    except ImportError as error:
-        raise InputError(f"--scheduler: Dask is missing ({error}); pip install '.[cluster]'") from None
+    except ImportError:
+        raise missing_extra("--scheduler: needs the library distributed (Dask)", "cluster") from None
     connect: Any = Client  # Dask has no type annotations
     try:
         _check_address(address)

@@ -45,10 +45,17 @@ def test_topics_are_listed_with_titles(capsys: pytest.CaptureFixture[str]) -> No
 
 
 @pytest.mark.parametrize("topic", TOPICS)
-def test_page_is_printed_unchanged_to_file(capsys: pytest.CaptureFixture[str], topic: str) -> None:
-    ran = run_command(capsys, "help", topic)
-    assert (ran.code, ran.err) == (0, "")
-    assert ran.out == topic_pages()[topic].read_text(encoding="utf-8")
+def test_page_has_eighty_columns_or_those_of_the_environment_in_a_pipe(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, topic: str
+) -> None:
+    for columns in (80, 100):
+        monkeypatch.setenv("COLUMNS", str(columns))
+        ran = run_command(capsys, "help", topic)
+        assert (ran.code, ran.err) == (0, "")
+        assert "\x1b" not in ran.out
+        lines = [line.rstrip() for line in ran.out.splitlines()]
+        commands = re.findall(r"^    (.*)$", topic_pages()[topic].read_text(encoding="utf-8"), re.MULTILINE)
+        assert [line for line in lines if len(line) > columns and line not in commands] == []
 
 
 @pytest.mark.parametrize("topic", TOPICS)

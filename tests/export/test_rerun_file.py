@@ -12,7 +12,7 @@ from helpers.moving_worlds import SMALL
 from helpers.track_rows import row
 from rerun.chunk import RrdReader
 
-from dvrk_cmaes import Body, DvrkCmaesError, InputError
+from dvrk_cmaes import Body, InputError
 from dvrk_cmaes.export.rerun_file import check_rerun, rerun_file
 from dvrk_cmaes.results.tracked import TrackView
 
@@ -115,6 +115,7 @@ def test_other_extension_is_refused() -> None:
 
 def test_missing_library_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(DvrkCmaesError) as caught:
+    with pytest.raises(InputError) as caught:
         check_rerun("--rerun", Path("a.rrd"))
-    assert str(caught.value) == "--rerun needs rerun-sdk: pip install '.[viewer]'"
+    install = f"{sys.executable} -m pip install 'rerun-sdk<0.42,>=0.41'"
+    assert str(caught.value) == f"--rerun: needs the library rerun-sdk, which is not installed; run: {install}"

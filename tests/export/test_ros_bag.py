@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 import json
+import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -186,5 +187,5 @@ def test_missing_library_is_named(monkeypatch: pytest.MonkeyPatch, run: Run, res
     monkeypatch.setattr(builtins, "__import__", without)
     assert run(results, "--to", "ros1-bag").refusal == (
         "--to ros1-bag: ROS recordings are written by the library rosbags, which is not installed; "
-        "run: pip install 'rosbags>=0.11,<0.12'"
+        f"run: {sys.executable} -m pip install 'rosbags<0.12,>=0.11'"
     )

@@ -112,7 +112,7 @@ def test_unknown_names_are_refused_with_their_list(imported: Import, made: Path)
 
 def test_missing_pyarrow_is_one_line(imported: Import, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    assert imported().refusal.endswith("parquet files need pyarrow: pip install '.[parquet]'")
+    assert imported().refusal.endswith("-m pip install 'pyarrow<27,>=18'")
 
 
 def table_of(made: Path) -> Path:

@@ -338,5 +338,5 @@ def test_missing_library_is_reported_with_install_command(
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     assert refused(bag) == (
         f"{bag}: ROS recordings are read by the library rosbags, which is not installed; "
-        "run: pip install 'rosbags>=0.11,<0.12'"
+        f"run: {sys.executable} -m pip install 'rosbags<0.12,>=0.11'"
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import random
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -95,5 +96,6 @@ def test_missing_onnxruntime_is_reported_with_install_command(tmp_path: Path, mo
     found = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "onnxruntime" else found(name))
     assert refusal(tmp_path) == (
-        "model sam2: needs the library onnxruntime, which is not installed; run: pip install 'onnxruntime>=1.22,<2'"
+        "model sam2: needs the library onnxruntime, which is not installed; "
+        f"run: {sys.executable} -m pip install 'onnxruntime<2,>=1.22'"
     )
