@@ -135,6 +135,12 @@ class SessionCalibration:
     version: str = __version__
     config: dict[str, Any] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        """Show the status, the base, the offsets and how well frames are predicted; all fields are in `to_dict`."""
+        base, offsets = (1e3 * self.rcm).round(2).tolist(), {name: round(at, 4) for name, at in self.offsets.items()}
+        found = f"base_mm={base}, {offsets=}, predicted_iou={self.predicted_iou:.3f}"
+        return f"SessionCalibration({self.status}, {self.instrument!r}, {len(self.frames)} frames, {found})"
+
     @property
     def rcm(self) -> Float64:
         """Remote centre of motion in the camera, (3,) m."""

@@ -6,6 +6,7 @@ The colours are those of Okabe and Ito's palette, which can be distinguished wit
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Final
 
 import cv2
 import numpy as np
@@ -31,6 +32,7 @@ AXES: tuple[tuple[str, Colour], ...] = (("x", VERMILLION), ("y", GREEN), ("z", S
 _SHIFT = 4  # fractional bits of OpenCV's fixed-point coordinates
 _WIDEST = 20.0  # units, of a line with its rim, and the pixels that its antialiasing reaches
 _STRIP: Colour = (52, 46, 43)
+_EDGE: Final = 8  # px at the left of strips without a letter; and the largest change of a colour by JPEG
 _LINE, _MARGIN = 26.0, 14.0  # units, from line to line and beside the lines
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
@@ -82,6 +84,13 @@ def strip(width: int, unit: float, lines: Sequence[Sequence[tuple[str, Colour]]]
     for word, at, colour in placed:
         canvas.text(word, at, colour, size=size)
     return canvas.image
+
+
+def without_strips(picture: Image) -> Image:
+    """Return the rows of a drawing (H, W, 3), which may have been stored as JPEG, between strips at its ends."""
+    is_strip = (np.abs(picture[:, :_EDGE].astype(np.int16) - _STRIP) < _EDGE).all(axis=(1, 2))
+    above, below = int(np.argmin(is_strip)), int(np.argmin(is_strip[::-1]))
+    return picture[above : len(picture) - below]
 
 
 class Canvas:

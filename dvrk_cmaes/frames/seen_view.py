@@ -95,7 +95,8 @@ def seen_views(
         _by_view("keypoints", keypoints, rig),
     )
     if not masks:
-        raise InputError(f"mask: expected one for at least one view ({', '.join(rig.names)}), got none")
+        kind = "an array (H, W) of bool" if isinstance(camera, Camera) else f"one of a view ({', '.join(rig.names)})"
+        raise InputError(f"mask: expected {kind}, got none (of a file that cv2.imread did not find?)")
     return tuple(
         seen_by(view, masks.get(view.name), ignore=ignored.get(view.name), keypoints=tips.get(view.name))
         for view in rig.views

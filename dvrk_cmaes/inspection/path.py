@@ -39,6 +39,7 @@ from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import is_number, listed
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.joint_state import is_joint_state
+from dvrk_cmaes.joints.names import shown_unit
 from dvrk_cmaes.joints.reading import TIME_TOLERANCE, read_joint_file
 from dvrk_cmaes.joints.rows import BY_THEMSELVES, NO_TIME, ReadAs
 from dvrk_cmaes.joints.times import read_image_times
@@ -112,11 +113,6 @@ class Options:
     package_paths: Mapping[str, Path] = field(default_factory=dict)
     camera: Path | None = None
     read_as: ReadAs = BY_THEMSELVES
-
-
-def unit_of(joint: str) -> tuple[float, str]:
-    """Return the factor from m or rad to the unit in which a joint is described, and that unit, mm or deg."""
-    return (1e3, "mm") if joint.endswith("insertion") else (180 / math.pi, "deg")
 
 
 def counted(number: int, what: str) -> str:
@@ -267,7 +263,7 @@ def _inspect_joints(path: Path, options: Options) -> Finding:
 
 def _range_text(name: str, low: float, high: float) -> str:
     """Format the range of a joint, in mm or degrees."""
-    scale, unit = unit_of(name)
+    scale, unit = shown_unit(name)
     if unit == "deg" and name != "roll" and max(-low, high) > math.pi:
         unit += ": more than half a turn: rad is expected"
     low, high = scale * low, scale * high

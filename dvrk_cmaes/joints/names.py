@@ -136,6 +136,11 @@ def unit_of(name: str) -> str:
     return "m" if name in ("insertion", "ecm_insertion", "x", "y", "z") else "rad"
 
 
+def shown_unit(joint: str) -> tuple[float, str]:
+    """Return the factor from m or rad to the unit in which a joint is shown, and that unit, mm or deg."""
+    return (1e3, "mm") if joint.endswith("insertion") else (math.degrees(1), "deg")
+
+
 def joint_reading(where: str, name: str, cell: object) -> float:
     """Convert a number or its text to a reading; InputError if it is not finite or must be in another unit."""
     unit = unit_of(name)

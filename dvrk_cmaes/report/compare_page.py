@@ -10,9 +10,8 @@ import numpy as np
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.comparison import Comparison
-from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.report.curves import Chart, Curve
-from dvrk_cmaes.report.template import Entry, KeyFigure, Page, Part, Picture, webp, write
+from dvrk_cmaes.report.template import Entry, KeyFigure, Page, Part, Picture, overlay, write
 from dvrk_cmaes.results.folder import check_frame_name, overlay_path
 
 PAGE: Final = "compare.html"
@@ -100,6 +99,6 @@ def _picture(folder: Path, frame: str, label: str) -> Iterator[Picture]:
     """Yield a frame's overlay, if the folder has one."""
     try:
         check_frame_name(frame)
-        yield Picture(webp(read_image(overlay_path(folder, frame)), _WIDTH), caption=label)
+        yield Picture(overlay(overlay_path(folder, frame), _WIDTH), caption=label)
     except InputError:
         return

@@ -88,6 +88,7 @@ def session_page(folder: ResultsFolder) -> Page:
         first=first,
         parts=[*parts, Part("Curves", charts=session_charts(results))],
         entries=entries,
+        legend="Yellow: the mask. Blue: the outline of the pose. A click opens all of the overlay, with its legend.",
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.geometry import Float64, in_parent, log_rotation, rotation_angle
 from dvrk_cmaes.io.csv_file import Table, fixed
+from dvrk_cmaes.joints.names import shown_unit
 from dvrk_cmaes.results.result import Result
 
 _CAMERA = "the camera's axes"
@@ -44,7 +45,7 @@ def result_tables(result: Result) -> Iterator[Table]:
     yield Table(("pose in the camera", "x", "y", "z"), rows)
     stds, joints = result.std_joints_deg or {}, []
     for name in dict.fromkeys([*result.joints, *result.readings]):
-        factor, unit = _unit(name)
+        factor, unit = shown_unit(name)
         found, read = (factor * values.get(name, math.nan) for values in (result.joints, result.readings))
         cells = fixed(found, 2), fixed(stds.get(name), 2), fixed(read, 2), fixed(found - read, 2, sign=True)
         joints.append((f"{name}, {unit}", *cells))
@@ -88,15 +89,11 @@ def calibration_tables(found: SessionCalibration) -> Iterator[Table]:
     yield Table(("arm's base in the camera", "x", "y", "z"), rows)
     offsets, std = [], np.sqrt(np.diag(found.covariance))[6:]
     for (name, offset), of_offset in zip(found.offsets.items(), std.tolist(), strict=True):
-        factor, unit = _unit(name)
+        factor, unit = shown_unit(name)
         values = fixed(factor * of_offset, 2), fixed(factor * found.spreads.get(name, 0.0), 2)
         offsets.append((f"{name}, {unit}", fixed(factor * offset, 2, sign=True), *values))
     yield Table(("true = read + offset", "offset", "std", "std between frames"), offsets)
     yield Table(("left out", "why"), list(found.left_out.items()), frames=True)
-
-
-def _unit(joint: str) -> tuple[float, str]:
-    return (1e3, "mm") if joint.endswith("insertion") else (180 / math.pi, "deg")
 
 
 def _pose(name: str, pose: Float64, std: Float64 | None = None, axes: str = _CAMERA) -> Iterator[Sequence[str]]:

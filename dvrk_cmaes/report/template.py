@@ -21,6 +21,7 @@ import jinja2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.draw.canvas import without_strips
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.io.csv_file import Table
@@ -103,7 +104,7 @@ class Page:
     """What a page shows.
 
     alerts : what concerns all frames. reasons : kinds of reasons, with numbers of frames. first : the part before the
-    frames. entries : frames, the worst first.
+    frames. entries : frames, the worst first. legend : of their pictures.
     """
 
     title: str
@@ -117,6 +118,7 @@ class Page:
     parts: Sequence[Part] = ()
     entries: Sequence[Entry] = ()
     heading: str = "Frames, the worst first"
+    legend: str = "Yellow: the mask. Blue: the outline of the pose."
     player: Player | None = None
 
 
@@ -163,11 +165,16 @@ class Pictures:
         if self._size >= EMBEDDED:
             return [Picture(link, link, caption)] if path.is_file() else []
         try:
-            data = webp(read_image(path), widest)
+            data = overlay(path, widest)
         except InputError:
             return []
         self._size += len(data)
         return [Picture(data, link, caption)]
+
+
+def overlay(path: Path, widest: int) -> str:
+    """Return the picture of an overlay's file as `webp`, without its strips of text, which are too small to read."""
+    return webp(without_strips(read_image(path)), widest)
 
 
 def webp(picture: NDArray[np.uint8], widest: int, quality: int = _QUALITY) -> str:

@@ -165,9 +165,6 @@ def _document(path: Path, expected: str) -> dict[str, Any] | None:
     return read_json_object(path, expected=expected) if os.path.lexists(path) else None
 
 
-_EXPECTED = "a frame's result (JSON)"
-
-
 def read_result(path: str | Path) -> Result:
     """Read a result; a frame without a name in the document gets the name of the file.
 
@@ -181,7 +178,7 @@ def read_result(path: str | Path) -> Result:
     InputError
         The file is not readable or no JSON object, or as in `Result.from_dict`; the message names file and field.
     """
-    document = read_json_object(path, expected=_EXPECTED)
+    document = read_json_object(path, expected="a frame's result (JSON)")
     if document.get("frame") is None:
         document["frame"] = Path(path).stem
     return Result.from_dict(document, where=str(path))

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from dvrk_cmaes.geometry import Float64, quaternion_xyzw
+from dvrk_cmaes.joints.names import shown_unit
 from dvrk_cmaes.results.result import Result
 
-_PRISMATIC = ("insertion", "ecm_insertion")
 _DIGITS = 6  # decimals; of mm, a nanometre
 
 
@@ -92,7 +92,7 @@ def _tip(result: Result, number: int) -> Iterator[tuple[str, float | None]]:
 
 def _scaled(name: str, suffix: str, value: float | None) -> tuple[str, float | None]:
     """Return the column and value of a joint, converted from rad or m to deg or mm."""
-    unit, factor = ("mm", 1e3) if name in _PRISMATIC else ("deg", float(np.degrees(1.0)))
+    factor, unit = shown_unit(name)
     return f"{name}{suffix}_{unit}", None if value is None else round(factor * value, _DIGITS)
 
 

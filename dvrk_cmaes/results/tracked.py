@@ -35,9 +35,9 @@ class BaseKnown:
     calibration.
     """
 
-    keyframes: int
-    solved: int
-    tip_mm: float | None
+    keyframes: Count
+    solved: Count
+    tip_mm: Number | None
     used: bool
 
 
@@ -90,8 +90,6 @@ class TrackResult(PoseShown):
         frame
             Name of the frame.
         """
-        from dvrk_cmaes.results.tracked import table_cells
-
         columns, (cells,) = table_cells([self.to_dict(frame)], tuple(self.joints))
         return dict(zip(columns, cells, strict=True))
 
@@ -202,13 +200,6 @@ class _Std(Struct):
     tip_mm: Number | None = None
 
 
-class _Base(Struct):
-    keyframes: Count
-    solved: Count
-    tip_mm: Number | None
-    used: bool
-
-
 class _Row(Struct):
     """Fields of a line that are used after it is read."""
 
@@ -225,7 +216,7 @@ class _Row(Struct):
     searched: bool = False
     residual_px: Number | None = None
     tip_probability: Number | None = None
-    base: _Base | None = None
+    base: BaseKnown | None = None
 
 
 def _check_row(where: str, document: dict[str, Any]) -> None:

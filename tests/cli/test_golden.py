@@ -77,7 +77,7 @@ def test_deviation_gives_table_and_exit_code_1(kept: Path, run: Run) -> None:
     ran = run("check", kept, "--tip-mm", "3", "--shaft-deg", "5")
     assert ran.code == 1
     heading, columns, line, *rest = ran.out.splitlines()
-    assert heading.startswith("Errors against the golden poses (root and tip in mm, all else in deg; ! is off)")
+    assert heading == "Errors: root and tip in mm, else deg (! is off); stated: tips within, mm (90 %)"
     assert columns.split() == [
         "frame",
         "status",

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from helpers.transforms import moved
 
 from dvrk_cmaes import Body, Camera, Renderer, Result
-from dvrk_cmaes.draw.canvas import DARK, GREEN, ORANGE, PURPLE, SKY_BLUE, VERMILLION, WHITE, YELLOW
+from dvrk_cmaes.draw.canvas import DARK, GREEN, ORANGE, PURPLE, SKY_BLUE, VERMILLION, WHITE, YELLOW, without_strips
 from dvrk_cmaes.draw.overlay import draw_overlay
 from dvrk_cmaes.draw.panels import header
 from dvrk_cmaes.draw.track_overlay import project_visible, projected_edges, skeleton_lines
@@ -84,6 +85,8 @@ def test_all_parts_are_drawn(bundled_body: Body, camera: Camera, width: int) -> 
     assert drawn.dtype == np.uint8
     assert drawn.shape[1:] == (width, 3)
     frame = picture_of(drawn, mask.shape)
+    stored = cv2.imdecode(cv2.imencode(".jpg", drawn)[1], cv2.IMREAD_COLOR)
+    assert abs(len(without_strips(stored)) - len(frame)) < 8
     for colour in (SKY_BLUE, ORANGE, PURPLE, WHITE, VERMILLION, GREEN):
         assert count(frame, colour) > 30, colour
 
