@@ -655,12 +655,10 @@ CASES: Final = (
     ),
     # videos
     LabCase("side by side", _video((128, 48), "--side", "right"), "3 frames of 3 images, 64 x 48"),
-    LabCase(
-        "squeezed", _video((64, 48), "--layout", "squeezed-side-by-side"), "no longer an option.*ffmpeg", (REFUSED,)
-    ),
+    LabCase("squeezed", _video((64, 48), "--layout", "squeezed-side-by-side"), "no option here.*ffmpeg", (REFUSED,)),
     LabCase("another aspect", _video((96, 48)), "--layout.*--crop", (REFUSED,)),
     LabCase("a part", _video((96, 64), "--crop", "16,8,64,48"), "3 frames of 3 images, 64 x 48"),
-    LabCase("fields", _video((64, 48), "--interlaced", "top"), "no longer an option.*ffmpeg", (REFUSED,)),
+    LabCase("fields", _video((64, 48), "--interlaced", "top"), "no option here.*ffmpeg", (REFUSED,)),
 )
 
 

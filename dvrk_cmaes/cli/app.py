@@ -95,11 +95,12 @@ _REMOVED: Final[dict[str, str]] = {
     "import --interlaced": "`ffmpeg -i IN -vf bwdif=send_field OUT`, which makes an image of each field",
     **_of(("track",), ("--resume", "--overwrite"), "the same command: what track wrote to the folder is replaced"),
     "track --columns": _TOOL,
+    "track --frames": "--every, or a copy of the folder with these frames alone",
     "track --fps": f"track.frames_a_second {_IN_FILE}",
     **_of(("track",), ("--layout", "--video-start"), "`dvrk-cmaes import`"),
     **_of(("track",), ("--frame-offset", "--frame-step"), "times in joints.csv and images.csv, or `dvrk-cmaes import`"),
 }
-"""Options, and values of theirs, that are no longer there, by command or of any, and what is used instead."""
+"""Options, and values of theirs, that were removed or are of other commands, and what is used instead."""
 
 
 def _version() -> str:
@@ -191,11 +192,11 @@ def _said(error: BaseException, tokens: Sequence[str]) -> int:
 
 
 def _removed(tokens: Sequence[str]) -> str | None:
-    """Return the message for the first option, or value of one, that is no longer there; None without one."""
+    """Return the message for the first option, or value of one, that has another in its place; None without one."""
     words = [word for token in tokens for word in (token.split("=", 1) if token.startswith("--") else [token])]
     for name in (*words, *(" ".join(pair) for pair in pairwise(words))):
         if (instead := _REMOVED.get(f"{tokens[0]} {name}", _REMOVED.get(name))) is not None:
-            return f"{name}: no longer an option; use {instead}"
+            return f"{name}: no option here; use {instead}"
     return None
 
 

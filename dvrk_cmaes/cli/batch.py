@@ -19,6 +19,7 @@ from dvrk_cmaes.cli.options import (
     ReadingOptions,
     SegmentOptions,
     SessionOptions,
+    WholeOrNone,
     check_range,
     parse_pixel,
 )
@@ -89,7 +90,7 @@ class BatchOptions:
     joints: Annotated[tuple[Path, ...], Parameter(negative=(), show_default=False)] = ()
     label: str | None = None
     pick: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
-    workers: int | None = None
+    workers: WholeOrNone = None
     scheduler: str | None = None
     time_limit: float = 600.0
     lag: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None

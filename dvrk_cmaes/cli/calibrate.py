@@ -22,6 +22,7 @@ from dvrk_cmaes.cli.options import (
     Flag,
     ReadingOptions,
     SessionOptions,
+    WholeOrNone,
     check_range,
 )
 from dvrk_cmaes.cli.session_tools import (
@@ -82,7 +83,7 @@ class CalibrateOptions:
     out: Path | None = None
     joints: Annotated[tuple[Path, ...], Parameter(negative=(), show_default=False)] = ()
     frames: str | None = None
-    keyframes: int | None = None
+    keyframes: WholeOrNone = None
     lag: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     refine_camera: Flag = False
     focal: Annotated[float | None, Parameter(group=CAMERA)] = None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from dvrk_cmaes.cli.options import OUTPUT, Flag, UrdfOptions
+from dvrk_cmaes.cli.options import OUTPUT, Flag, UrdfOptions, Whole
 from dvrk_cmaes.cli.terminal import Line, answer, table_lines
 from dvrk_cmaes.errors import InputError
 
@@ -23,7 +23,7 @@ _MOST_NAMED = 10  # frames in a line
 
 def compare(
     *results: Path,
-    frames: int = 20,
+    frames: Whole = 20,
     labels: Path | None = None,
     points: Path | None = None,
     instrument: UrdfOptions = UrdfOptions(),

@@ -17,6 +17,7 @@ from dvrk_cmaes.cli.options import (
     OUTPUT,
     Flag,
     LayoutOption,
+    Whole,
     check_range,
     column_names,
     joint_files,
@@ -180,7 +181,7 @@ class SelectedImages:
         the same way: its lag is taken out.
     """
 
-    every: int = 1
+    every: Whole = 1
     start: float = 0.0
     end: float = math.inf
     tolerance: float = 0.05

@@ -23,6 +23,7 @@ from dvrk_cmaes.cli.options import (
     Flag,
     MethodOptions,
     UrdfOptions,
+    Whole,
 )
 from dvrk_cmaes.cli.terminal import Line, note, show, stopping_on_interrupt
 from dvrk_cmaes.errors import InputError
@@ -137,7 +138,7 @@ class ServerOptions:
 
     via: Literal["rosbridge", "rclpy"] = "rosbridge"
     host: str = "127.0.0.1"
-    port: int = 9090
+    port: Whole = 9090
     wait: Flag = False
 
     def connection(self, report: Report) -> Connection:

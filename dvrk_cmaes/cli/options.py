@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import Group, Parameter
+from cyclopts import Group, Parameter, Token
 
 from dvrk_cmaes.cli.terminal import warn
 from dvrk_cmaes.errors import InputError, nearest_first
@@ -45,7 +45,18 @@ _OF_MESHES = 4.3e-3, 4.45e-3
 """Radii between which that of the meshes of the dVRK's description is, 4.37 mm, m."""
 LATEST = 1e11  # s, of times since any clock's start
 
+
+def _whole(_: Any, tokens: Sequence[Token]) -> int:
+    """Convert the text of an option to a whole number; InputError for others, such as 1.5, which are not rounded."""
+    try:
+        return int(tokens[0].value)
+    except ValueError:
+        raise InputError(f"{tokens[0].keyword}: expected a whole number, got {shown(tokens[0].value)}") from None
+
+
 LayoutOption = Literal["mono", "side-by-side", "top-bottom"] | None
+Whole = Annotated[int, Parameter(converter=_whole)]
+WholeOrNone = Annotated[int | None, Parameter(converter=_whole)]
 Flag = Annotated[bool, Parameter(negative=())]
 Pixels = Annotated[tuple[str, ...], Parameter(negative=(), show_default=False, allow_leading_hyphen=True)]
 ConfigOption = Annotated[Path | None, Parameter(name="--config", group=METHOD)]
@@ -136,8 +147,8 @@ class ReadingOptions:
     """
 
     columns: str | None = None
-    frame_offset: Annotated[int | None, Parameter(allow_leading_hyphen=True)] = None
-    frame_step: int = 1
+    frame_offset: Annotated[int | None, Parameter(converter=_whole, allow_leading_hyphen=True)] = None
+    frame_step: Whole = 1
 
     def read_as(self, arm: str | None = None, columns: tuple[str, ...] = ()) -> ReadAs:
         """Return how files are read; ``arm`` and ``columns`` are those of session.toml."""
@@ -280,8 +291,8 @@ class MethodOptions:
 
     search: str | None = None
     preset: Literal["card"] | None = None
-    seed: int | None = None
-    threads: int | None = None
+    seed: WholeOrNone = None
+    threads: WholeOrNone = None
     config: Path | None = None
 
     def resolve(self) -> EstimateConfig:

@@ -16,6 +16,7 @@ from dvrk_cmaes.cli.options import (
     SEGMENT,
     Flag,
     SegmentOptions,
+    Whole,
     check_range,
 )
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer, exit_code, note
@@ -31,7 +32,7 @@ def segment(
     *,
     model: SegmentOptions = SegmentOptions(),
     instrument: Annotated[str, Parameter(group=SEGMENT)] = "lnd",
-    threads: Annotated[int, Parameter(group=OUTPUT)] = 2,
+    threads: Annotated[Whole, Parameter(group=OUTPUT)] = 2,
     out: Annotated[Path, Parameter(group=OUTPUT)] = Path("dvrk-cmaes-masks"),
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:

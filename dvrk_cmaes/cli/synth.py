@@ -14,6 +14,7 @@ from dvrk_cmaes.cli.options import (
     CameraOptions,
     Flag,
     UrdfOptions,
+    Whole,
     check_range,
 )
 from dvrk_cmaes.cli.terminal import Line, show
@@ -72,13 +73,13 @@ class SynthOptions:
 
     level: Literal["clean", "easy", "medium", "hard"] = "medium"
     motion: Literal["free", "rcm", "video"] = "rcm"
-    frames: int = 10
+    frames: Whole = 10
     lag: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     cables: Literal["independent", "measured"] | None = None
     stereo: Flag = False
     baseline: float = 0.0053
     arms: Literal[1, 2] = 1
-    seed: int = 0
+    seed: Whole = 0
     images: bool = True
     mp4: Flag = False
     ecm: Flag = False

@@ -23,6 +23,8 @@ from dvrk_cmaes.cli.options import (
     Flag,
     PromptOptions,
     SessionOptions,
+    Whole,
+    WholeOrNone,
     check_range,
 )
 from dvrk_cmaes.cli.session_tools import (
@@ -93,11 +95,11 @@ class TrackOptions:
     """
 
     out: Path | None = None
-    every: int = 1
+    every: Whole = 1
     joints: str | None = None
     lag: Annotated[str, Parameter(allow_leading_hyphen=True)] = AUTO
     causal: Flag = False
-    workers: int | None = None
+    workers: WholeOrNone = None
     video: bool = True
     page: bool = True
     rerun: Path | None = None

@@ -147,8 +147,8 @@ def inspect_path(path: str | Path, options: Options | None = None) -> Finding:
         return _inspect_picture(file)
     if start.startswith(b"\x93NUMPY"):
         return _inspect_joints(file, settings)
-    if b"\0" in start:
-        raise InputError(f"{path}: expected {_KNOWN}, got something else")
+    if b"\0" in start or not start:
+        raise InputError(f"{path}: expected {_KNOWN}, got {'something else' if start else 'an empty file'}")
     return _inspect_text(file, start.removeprefix(b"\xef\xbb\xbf").lstrip(), settings)
 
 

@@ -160,9 +160,9 @@ def test_camera_is_not_guessed_beside_a_file_or_from_few_frames(command: Command
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        (["--every", "4"], "--every: no longer an option; use --keyframes, or --frames with a pattern"),
-        (["--seed", "3"], "--seed: no longer an option; use seed in the settings file (--config)"),
-        (["--crop=1,2,3,4"], "--crop: no longer an option; use right, crop or stretch of [camera] in session.toml"),
+        (["--every", "4"], "--every: no option here; use --keyframes, or --frames with a pattern"),
+        (["--seed", "3"], "--seed: no option here; use seed in the settings file (--config)"),
+        (["--crop=1,2,3,4"], "--crop: no option here; use right, crop or stretch of [camera] in session.toml"),
         (["--keyframes", "2"], "--keyframes: expected a whole number of at least 3, got 2"),
     ],
 )

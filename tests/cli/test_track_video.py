@@ -142,9 +142,9 @@ def test_masks_count_where_there_are_any(
     ("options", "expected"),
     [
         (["--evidence", "masks"], "--evidence masks: expected masks of the frames, got none"),
-        (["--layout", "side-by-side"], "--layout: no longer an option; use `dvrk-cmaes import`"),
-        (["--crop=1,2,3,4"], "--crop: no longer an option; use right, crop or stretch of [camera] in session.toml"),
-        (["--seed", "3"], "--seed: no longer an option; use seed in the settings file (--config)"),
+        (["--layout", "side-by-side"], "--layout: no option here; use `dvrk-cmaes import`"),
+        (["--crop=1,2,3,4"], "--crop: no option here; use right, crop or stretch of [camera] in session.toml"),
+        (["--seed", "3"], "--seed: no option here; use seed in the settings file (--config)"),
         (["--first-mask", "none.png"], "none.png: no such file"),
         (["--box", "1,2,3"], "--box: expected x0,y0,x1,y1 in pixels, got '1,2,3'"),
     ],

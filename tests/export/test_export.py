@@ -91,8 +91,8 @@ def test_results_without_base_are_refused(tmp_path: Path, run: Run) -> None:
 
 @pytest.mark.parametrize("to", ["tracker", "joint-correction"])
 def test_format_that_is_no_longer_written_is_refused_with_what_is_used(results: Path, run: Run, to: str) -> None:
-    assert run(results, "--to", to).refusal.startswith(f"--to {to}: no longer an option; use ")
-    assert run(results, f"--to={to}").refusal.startswith(f"--to {to}: no longer an option; use ")
+    assert run(results, "--to", to).refusal.startswith(f"--to {to}: no option here; use ")
+    assert run(results, f"--to={to}").refusal.startswith(f"--to {to}: no option here; use ")
 
 
 def test_median_pose_tolerates_third_of_outliers() -> None:

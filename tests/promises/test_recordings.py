@@ -292,7 +292,7 @@ def test_another_run_replaces_all_that_an_earlier_one_wrote_and_nothing_else(
     assert run(*short, "--out", out, "--workers", 1).code == 3
     assert {*content(out)} == {*before}
     assert content(out)["notes.txt"] == before["notes.txt"]
-    assert "no longer an option" in run(*short, "--overwrite", "--out", out).refusal
+    assert "no option here" in run(*short, "--overwrite", "--out", out).refusal
 
 
 def test_doubtful_calibration_makes_all_frames_doubtful(kept: Kept, short: tuple[object, ...], tmp_path: Path) -> None:

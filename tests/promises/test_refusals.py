@@ -131,7 +131,7 @@ WORDS: dict[str, tuple[list[object], str]] = {
     "track, workers": (["track", DEMO, "--workers", "0"], r"--workers: expected a whole number of at least 1, got 0"),
     "track, fps": (
         ["track", DEMO, "--fps", "0"],
-        r"--fps: no longer an option; use track\.frames_a_second in the settings file",
+        r"--fps: no option here; use track\.frames_a_second in the settings file",
     ),
     "track, session": (["track", DEMO, "--out", "out", "--session", "none.json"], r"none\.json: no such file"),
     "track, rerun": (["track", DEMO, "--rerun", "a.mp4"], r"--rerun: expected .* that ends in \.rrd, got 'a\.mp4'"),
