@@ -36,7 +36,6 @@ from dvrk_cmaes.cli.terminal import (
     INTERRUPTED,
     Line,
     exit_code,
-    frames_text,
     note,
     print_error,
     progress,
@@ -44,6 +43,7 @@ from dvrk_cmaes.cli.terminal import (
     warn,
 )
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.short_text import counted
 
 if TYPE_CHECKING:
     from dvrk_cmaes.runs.batch import BatchSummary
@@ -251,11 +251,11 @@ def _lines(document: dict[str, Any], folder: Path) -> Iterator[Line]:
     words = [
         f"{counts[name]} {name}" for name in ("ok", "doubtful", "failed", "missing") if counts[name] or name == "ok"
     ]
-    yield Line(f"{frames_text(counts['frames'])}: {', '.join(words)}", "bold")
+    yield Line(f"{counted(counts['frames'], 'frame')}: {', '.join(words)}", "bold")
     if medians["iou"] is not None:
         yield Line(f"medians: IoU {medians['iou']:.3f}, contour {medians['contour_px_median']:.1f} px")
-    if timing["run"] is not None:
-        run = timing["run"]
-        yield Line(f"{frames_text(run['frames'])} in {run['seconds']:.1f} s, {run['frames_per_second']:.2f} a second")
+    if (run := timing["run"]) is not None:
+        rate = f"{run['frames_per_second']:.2f} a second"
+        yield Line(f"{counted(run['frames'], 'frame')} in {run['seconds']:.1f} s, {rate}")
     where = f"results: {folder / 'frames'}   overlays: {folder / 'overlays'}"
     yield Line(f"{where}   table: {folder / 'poses.csv'}   page: {folder / 'report.html'}")

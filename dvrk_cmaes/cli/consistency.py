@@ -68,14 +68,13 @@ def consistency(
     from dvrk_cmaes.instrument.dvrk_description import read_tool
     from dvrk_cmaes.io.json_file import write_text
     from dvrk_cmaes.report.consistency_picture import draw_axes
-    from dvrk_cmaes.report.curves import check_svg_path
 
     if not results:
         raise InputError("RESULTS: expected at least one folder of results, got none")
     if len(session) not in (0, 1, len(results)):
         raise InputError(f"--session: expected one, or one for each of the {len(results)} results, got {len(session)}")
-    if picture is not None:
-        check_svg_path(picture)
+    if picture is not None and picture.suffix.lower() != ".svg":
+        raise InputError(f"{picture}: expected a picture's name to end in .svg, got {picture.suffix!r}")
     sources = session * len(results) if len(session) == 1 else session or (None,) * len(results)
     roll_offset = None if tool is None else read_tool(tool).roll_offset
     found = [

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dvrk_cmaes.cli.options import TWIN, CalibrationOptions, ReadingOptions, joint_files, load_tool
-from dvrk_cmaes.cli.terminal import Line, answer, frames_text, note, show, table_lines, warn
+from dvrk_cmaes.cli.terminal import Line, answer, note, show, table_lines, warn
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.short_text import listed, no_folder
+from dvrk_cmaes.io.short_text import counted, listed, no_folder
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
@@ -164,7 +164,7 @@ def reason_lines(reasons: Mapping[str, Sequence[str]]) -> Iterator[Line]:
     for kind, places in kinds[:_MOST_REASONS]:
         of_first = reasons[names[places[0]]]
         text = kind if len(places) > 1 else next(text for text in of_first if reason_kind(text) == kind)
-        yield Line(f"  {text}: {frames_text(len(places))} ({listed(_stretches(names, places))})", "yellow")
+        yield Line(f"  {text}: {counted(len(places), 'frame')} ({listed(_stretches(names, places))})", "yellow")
     if len(kinds) > _MOST_REASONS:
         yield Line(f"  ... and {len(kinds) - _MOST_REASONS} more, in the results")
     if kinds:

@@ -171,11 +171,6 @@ def exit_code(statuses: Iterable[str]) -> int:
     return FAILED if found == {"failed"} else DOUBTFUL if found - {"ok"} else 0
 
 
-def frames_text(frames: int) -> str:
-    """Return a number of frames as text: ``1 frame``, ``2 frames``."""
-    return f"{frames} frame{'' if frames == 1 else 's'}"
-
-
 def _stopping() -> list[signal.Signals]:
     """Return the signals that stop a run; SIGHUP, of a terminal that is closed, only where nohup does not ignore it."""
     hang_up = [] if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else [signal.SIGHUP]

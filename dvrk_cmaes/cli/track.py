@@ -39,7 +39,6 @@ from dvrk_cmaes.cli.terminal import (
     DOUBTFUL,
     INTERRUPTED,
     Line,
-    frames_text,
     note,
     progress,
     show,
@@ -47,7 +46,7 @@ from dvrk_cmaes.cli.terminal import (
     warn,
 )
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.short_text import listed, no_folder
+from dvrk_cmaes.io.short_text import counted, listed, no_folder
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.together import Begun
@@ -308,7 +307,7 @@ def _lines(arm: TrackedArm) -> Iterator[Line]:
     from dvrk_cmaes.results.tracked import VIDEO
 
     counts = ", ".join(f"{arm.counts[name]} {name}" for name in ("ok", "doubtful", "lost") if arm.counts.get(name))
-    yield Line(f"{frames_text(len(arm.rows))}: {counts}", "bold")
+    yield Line(f"{counted(len(arm.rows), 'frame')}: {counts}", "bold")
     yield from reason_lines({row["frame"]: row["reasons"] for row in arm.rows})
     if arm.calibration is not None:
         yield from found_lines(arm.calibration)

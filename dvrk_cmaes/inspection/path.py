@@ -36,7 +36,7 @@ from dvrk_cmaes.frames.video_frames import Video
 from dvrk_cmaes.io.csv_file import separator_of
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.json_file import read_json_object
-from dvrk_cmaes.io.short_text import is_number, listed
+from dvrk_cmaes.io.short_text import counted, is_number, listed
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.joint_state import is_joint_state
 from dvrk_cmaes.joints.names import shown_unit
@@ -113,11 +113,6 @@ class Options:
     package_paths: Mapping[str, Path] = field(default_factory=dict)
     camera: Path | None = None
     read_as: ReadAs = BY_THEMSELVES
-
-
-def counted(number: int, what: str) -> str:
-    """Format a number with a noun, in the plural unless the number is one."""
-    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def inspect_path(path: str | Path, options: Options | None = None) -> Finding:

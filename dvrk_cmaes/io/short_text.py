@@ -36,6 +36,11 @@ def listed(names: Iterable[str], most: int = 5) -> str:
     return ", ".join(first) + (", ..." if len(names) > most else "")
 
 
+def counted(number: int, what: str) -> str:
+    """Format a number with a noun, in the plural unless the number is one: ``1 frame``, ``2 frames``."""
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
 def is_number(text: str) -> bool:
     """Whether a text is a number, NaN included."""
     try:

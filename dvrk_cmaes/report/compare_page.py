@@ -10,6 +10,7 @@ import numpy as np
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.comparison import Comparison
+from dvrk_cmaes.io.short_text import counted
 from dvrk_cmaes.report.curves import Chart, Curve
 from dvrk_cmaes.report.template import Entry, KeyFigure, Page, Part, Picture, overlay, write
 from dvrk_cmaes.results.folder import check_frame_name, overlay_path
@@ -27,7 +28,6 @@ def write_compare_page(out: Path, comparison: Comparison) -> Path:
         "Tips: mean distance of the tips. Root: distance of the root link's origins. Shaft: angle between the shafts. "
         "Roll: angle about the shaft; from 90° on, the pose is rather that of the mirror twin. Joints: without sign."
     )
-    many = f"{len(comparison.frames)} frame{'' if len(comparison.frames) == 1 else 's'}"
     figures = [
         KeyFigure(
             f"{labels[k]}: tips from {reference}, median",
@@ -39,7 +39,7 @@ def write_compare_page(out: Path, comparison: Comparison) -> Path:
     ]
     page = Page(
         "Comparison of poses",
-        f"{many} · differences from {reference}{truth}",
+        f"{counted(len(comparison.frames), 'frame')} · differences from {reference}{truth}",
         figures=figures,
         parts=[
             Part("Sets", tables=[comparison.sets_table()]),

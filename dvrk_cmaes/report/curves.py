@@ -6,13 +6,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
-from pathlib import Path
 from typing import Final
 from urllib.parse import quote
 
 import numpy as np
 
-from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64
 
 _COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#b04a8f", "#8a7a00", "#6a6f78")
@@ -75,12 +73,6 @@ def ticks(low: float, high: float, most: int) -> list[float]:
     power = 10.0 ** math.floor(math.log10((high - low) / most))
     step = next(power * factor for factor in (1, 2, 5, 10, 20) if (high - low) / (power * factor) <= most)
     return [k * step for k in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
-
-
-def check_svg_path(path: Path) -> None:
-    """Raise InputError unless a picture's file name ends in .svg."""
-    if path.suffix.lower() != ".svg":
-        raise InputError(f"{path}: expected a picture's name to end in .svg, got {path.suffix!r}")
 
 
 def chart_svg(chart: Chart, width: int = 680, height: int = 300) -> str:

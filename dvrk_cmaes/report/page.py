@@ -16,6 +16,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.io.csv_file import Table, fixed
+from dvrk_cmaes.io.short_text import counted
 from dvrk_cmaes.report.curves import Chart, Curve
 from dvrk_cmaes.report.tables import calibration_lines, calibration_tables, result_lines, result_tables
 from dvrk_cmaes.report.template import Entry, KeyFigure, Page, Part, Picture, Pictures, counted_reasons, write
@@ -75,11 +76,10 @@ def session_page(folder: ResultsFolder) -> Page:
     alerts = dict.fromkeys([*summary.get("warnings", ()), *(() if calibration is None else calibration.warnings)])
     name = f"{PurePath(session).name} · " if isinstance(session, str) else ""
     instruments = ", ".join(sorted({result.instrument for result in results} - {""}))
-    version = results[0].version
     return Page(
         "Instrument poses" if calibration is None else "Calibration of an arm and its camera",
-        f"{name}{len(results)} frame{'' if len(results) == 1 else 's'}{f' of {instruments}' if instruments else ''}"
-        + (f" · dvrk-cmaes {version}" if version else ""),
+        f"{name}{counted(len(results), 'frame')}{f' of {instruments}' if instruments else ''}"
+        + (f" · dvrk-cmaes {results[0].version}" if results[0].version else ""),
         {status: sum(result.status == status for result in results) for status in reversed(_STATUSES)},
         alerts=list(alerts),
         notes=[*notes, *(f"In every frame: {text}" for text in common_warnings(results) if text not in alerts)],

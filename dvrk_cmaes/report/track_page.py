@@ -15,6 +15,7 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.config import __version__
 from dvrk_cmaes.draw.track_overlay import draw_outlines
 from dvrk_cmaes.geometry import Float64
+from dvrk_cmaes.io.short_text import counted
 from dvrk_cmaes.report.curves import Chart, Curve
 from dvrk_cmaes.report.page import calibration_part
 from dvrk_cmaes.report.template import Entry, KeyFigure, Page, Part, Picture, Player, counted_reasons, webp, write
@@ -129,7 +130,7 @@ def track_page(recording: FollowedRecording) -> Page:
     entries = []
     for event in events[:_MOST_EVENTS]:
         row, last = rows[event.first], rows[event.first + event.frames - 1]
-        stretch = f"{event.frames} frames, to {last['frame']}" if event.frames > 1 else "1 frame"
+        stretch = counted(event.frames, "frame") + (f", to {last['frame']}" if event.frames > 1 else "")
         when = f"at {times[event.first]:.2f} s: " if recording.timed else ""
         pictures = [Picture(recording.pictures[event.first])] if event.first in recording.pictures else []
         seek = numbers.index(event.first) if pictures else None
@@ -145,8 +146,7 @@ def track_page(recording: FollowedRecording) -> Page:
     )
     return Page(
         "A followed recording",
-        f"{recording.session} · {len(rows)} frame{'' if len(rows) == 1 else 's'} of {recording.instrument} · "
-        f"dvrk-cmaes {__version__}",
+        f"{recording.session} · {counted(len(rows), 'frame')} of {recording.instrument} · dvrk-cmaes {__version__}",
         {status: counts[status] for status in _STATUSES},
         alerts=[*recording.warnings, *(() if recording.calibration is None else recording.calibration.warnings)],
         notes=notes,
@@ -170,8 +170,7 @@ def _figures(recording: FollowedRecording, events: Sequence[TrackEvent]) -> Iter
     note = "followed in every frame"
     if gaps:
         longest = max(gaps, key=lambda event: event.frames)
-        many = "" if longest.frames == 1 else "s"
-        note = f"longest: {longest.frames} frame{many}, from {rows[longest.first]['frame']}"
+        note = f"longest: {counted(longest.frames, 'frame')}, from {rows[longest.first]['frame']}"
     yield KeyFigure("Lost", {0: "never", 1: "once"}.get(len(gaps), f"{len(gaps)} times"), note)
     overlaps = recording.overlaps
     if np.isfinite(overlaps).any():

@@ -114,6 +114,7 @@ WORDS: dict[str, tuple[list[object], str]] = {
     "folder as a mask": (estimate_with(mask=DEMO), r".*demo: expected .*folder|.*demo: .*"),
     "choice": (estimate_with(arm="old"), r".*old.*classic.*si|.*classic.*si.*old"),
     "number": (estimate_with(seed="many"), r".*--seed.*many"),
+    "fraction": (estimate_with(seed="1.5"), r"--seed: expected a whole number, got '1\.5'"),
     "range": (estimate_with(seed="-1"), r"--seed.*-1"),
     "threads": (estimate_with(threads="0"), r"--threads.*0"),
     "unknown joint": (estimate_with(joints="elbow=1"), r".*joints: .*elbow"),
@@ -129,6 +130,7 @@ WORDS: dict[str, tuple[list[object], str]] = {
     "track": (["track", DEMO, "--out", "out", "--lag", "soon"], r"--lag: .*'?soon"),
     "track, every": (["track", DEMO, "--every", "0"], r"--every: expected a whole number of at least 1, got 0"),
     "track, workers": (["track", DEMO, "--workers", "0"], r"--workers: expected a whole number of at least 1, got 0"),
+    "track, frames": (["track", DEMO, "--frames", "00*"], r"--frames: no option here; use --every"),
     "track, fps": (
         ["track", DEMO, "--fps", "0"],
         r"--fps: no option here; use track\.frames_a_second in the settings file",
