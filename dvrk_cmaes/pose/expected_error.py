@@ -1,33 +1,28 @@
-"""Expected errors of the jaw tips and of the shaft's direction, propagated from the covariance of a pose.
+"""What is stated of a pose's error: covariance, expected errors of points, probabilities, the camera file's part.
 
-The covariance of a pose is that of small changes [t, r, joints]. Jacobians from central differences carry it to points
-in the camera's frame. The distance within which a point lies with 90 % is that of a gamma distribution with the mean
-and the variance of the squared distance (Satterthwaite's approximation).
+Covariance: of small changes [t, r, joints] of a frame's best mode and of other modes near it. Where the mask's contour
+is far from the silhouette at wrist and jaws, tissue or another tool is in front of them; the errors are then larger
+than the outline's noise says.
 
-Probabilities that a pose is in the true mode, and that its tips are within a distance of the truth.
+Points and the shaft's direction: Jacobians from central differences carry the covariance to the camera's frame. The
+distance within which a point lies with 90 % is that of a gamma distribution with the mean and the variance of the
+squared distance (Satterthwaite's approximation).
 
-Each mode has the weight exp(-0.6 score), its score being a negative log-likelihood of outline and readings. The factor
-stands for errors that long stretches of a mask's contour share, which scores take for independent. A mode that the
-search has not found has the odds (e / 10 mm)^3 against those found, e being the expected error of the tips: where the
-outline says little about the pose, a search misses more. The exponent and the 10 mm were fitted to made frames of the
-levels medium and hard.
+Probability of a mode: each has the weight exp(-0.6 score), its score being a negative log-likelihood of outline and
+readings. The factor stands for errors that long stretches of a mask's contour share, which scores take for independent.
+A mode that the search has not found has the odds (e / 10 mm)^3 against those found, e being the expected error of the
+tips: where the outline says little about the pose, a search misses more. The exponent and the 10 mm were fitted to made
+frames of the levels medium and hard.
 
-The probability of the tips is that of the right mode times that of tips this near in the right mode, each a logistic
+Probability of the tips: that of the right mode times that of tips this near in the right mode, each a logistic
 function: of the stated probability of the mode, and of the tips' expected error. The functions are fitted by
 `scripts/measure.py estimate --fit`; what they do not know, such as another instrument or camera, is named on the page
 on accuracy.
 
-Covariance of the pose of a frame: of its best mode, and of other modes near it.
-
-Where the mask's contour is far from the silhouette at wrist and jaws, tissue or another tool is in front of them. The
-errors are then larger than the outline's noise tells.
-
-What errors of the camera file and of the instrument's size do to a pose: six parameters, and how a pose follows.
-
-The parameters are relative, so that they are the same for an image of any size and crop: the logarithm of the focal
-length, that of fy / fx, the principal point right and down over the focal length, the first radial coefficient, and the
-logarithm of the factor on all of the instrument.
-An outline that is seen stays where it is in the image, so that a pose moves with the parameters by which it is read.
+Camera file and instrument's size: six parameters that are relative, so that they are the same for an image of any size
+and crop: the logarithm of the focal length, that of fy / fx, the principal point right and down over the focal length,
+the first radial coefficient, and the logarithm of the factor on all of the instrument. An outline that is seen stays
+where it is in the image, so that a pose moves with the parameters by which it is read.
 """
 
 from __future__ import annotations
