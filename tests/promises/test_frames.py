@@ -32,7 +32,7 @@ BODY = prepare("lnd")
 EASY = ("--level", "easy", "--frames", 8, "--seed", 5, "--no-images")
 MEDIUM = ("--level", "medium", "--frames", 8, "--seed", 3, "--no-images")
 EYES = ("--stereo", "--level", "medium", "--frames", 4, "--seed", 2, "--no-images")
-TOOLS = ("--arms", 2, "--level", "easy", "--frames", 3, "--seed", 3, "--no-images")
+TOOLS = ("--arms", 2, "--level", "easy", "--frames", 4, "--seed", 3, "--no-images")
 FREE = ("--motion", "free", "--level", "clean", "--frames", 4, "--seed", 9, "--no-images")
 WORLDS = {"one eye, easy": EASY, "one eye, medium": MEDIUM, "two eyes, medium": EYES, "exact masks": FREE}
 

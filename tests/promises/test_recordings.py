@@ -36,7 +36,7 @@ pytestmark = pytest.mark.usefixtures("searches_short")
 
 VIDEO = ("--motion", "video", "--level", "easy", "--no-images")
 ONE = (*VIDEO, "--frames", 32, "--seed", 5, "--lag", "2frames")
-STEERED = (*VIDEO, "--frames", 20, "--seed", 7, "--ecm")
+STEERED = (*VIDEO, "--frames", 16, "--seed", 7, "--ecm")
 PAIR = (*VIDEO, "--frames", 12, "--seed", 3, "--arms", 2, "--stereo")
 IMAGES = ("--motion", "video", "--level", "easy", "--frames", 12, "--seed", 8)
 POSTURES = ("--level", "easy", "--frames", 14, "--seed", 5)
