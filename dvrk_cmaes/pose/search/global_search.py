@@ -9,7 +9,10 @@ another.
 from __future__ import annotations
 
 import contextlib
+import sys
+import threading
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -141,8 +144,10 @@ _LARGE = 1e12  # loss in place of one that is not finite
 _POPULATION = 10  # candidates of CMA-ES in a generation of a start
 _CONTINUING = 0.85  # share of the starts, the best ones, that have another generation
 _LEAST = 4  # starts that have another generation
-_LEAST_VARIANCE = 1e-8  # along an axis of CMA-ES
 _RUN = 20  # evaluations for each parameter of a run by NLopt, of which there are as many as the budget allows
+
+_importing = threading.Lock()
+_STATISTICS = "scipy.stats"
 
 
 def minimise_each(
@@ -203,61 +208,51 @@ def _nlopt(
 def _cmaes(
     loss: LossOfStarts, known: Float64, covariances: Float64, evaluations: int, seed: int
 ) -> tuple[Float64, Float64]:
-    """Search by CMA-ES from all starts at once; equations (eq.) are of Hansen's tutorial, arXiv 1604.00772."""
-    count, dimension = covariances.shape[:2]
-    population, parents = _POPULATION, _POPULATION // 2
-    raw = np.log((population + 1) / 2) - np.log(np.arange(population) + 1.0)  # eq. 49
-    mu, mu_of_others = (part.sum() ** 2 / (part**2).sum() for part in (raw[:parents], raw[parents:]))
-    c_1 = 2 / ((dimension + 1.3) ** 2 + mu)  # eq. 57
-    c_mu = 2 * (mu - 2 + 1 / mu) / ((dimension + 2) ** 2 + mu)  # eq. 58
-    negative = min(
-        1 + c_1 / c_mu, 1 + 2 * mu_of_others / (mu + 2), (1 - c_1 - c_mu) / (dimension * c_mu)
-    )  # eq. 50 to 52
-    weights = np.where(raw >= 0, raw / raw[raw > 0].sum(), negative * raw / -raw[raw < 0].sum())  # eq. 53
-    c_sigma = (mu + 2) / (dimension + mu + 5)  # eq. 55
-    damping = 1 + 2 * max(0.0, np.sqrt((mu - 1) / (dimension + 1)) - 1) + c_sigma
-    c_c = (4 + mu / dimension) / (dimension + 4 + 2 * mu / dimension)  # eq. 56
-    usual = np.sqrt(dimension) * (1 - 1 / (4 * dimension) + 1 / (21 * dimension**2))  # length of a normal vector
-
-    sizes, size = list[int](), count  # of the starts that have each generation
-    while population * (sum(sizes) + size) <= evaluations:
-        sizes.append(size)
-        size = min(max(int(_CONTINUING * size), _LEAST), size)
-    normal, random = np.empty((count, len(sizes), population, dimension)), np.random.RandomState()
-    for k in range(count):
-        random.seed((seed + k) % SEEDS)
-        normal[k] = random.standard_normal(normal.shape[1:])
-    mean, c_path, sigma_path = np.zeros((3, count, dimension))
-    sigma, covariance = np.ones((count, 1)), covariances.copy()
-    best, losses, active = np.zeros((count, dimension)), known.copy(), np.arange(count)
-    for generation in range(len(sizes)):
-        values, axes = np.linalg.eigh(covariance[active])
-        roots = axes * (lengths := np.sqrt(np.maximum(values, _LEAST_VARIANCE))[:, None])
-        steps = (roots[:, None] @ normal[active, generation, ..., None])[..., 0]  # eq. 39
-        drawn = mean[active, None] + sigma[active, None] * steps  # eq. 40
-        found = loss(np.repeat(active, population), drawn.reshape(-1, dimension)).reshape(-1, population)
-        ranks = np.argsort(found, axis=1, kind="stable")
-        first, lowest = drawn[np.arange(len(active)), ranks[:, 0]], found.min(axis=1)
-        better = lowest < losses[active]
-        best[active[better]], losses[active[better]] = first[better], lowest[better]
-        if generation + 1 == len(sizes):
+    """Search by CMA-ES from all starts."""
+    cma, dimension = _cma_class(), covariances.shape[-1]
+    optimisers = [
+        cma(
+            mean=np.zeros(dimension),
+            sigma=1.0,
+            seed=(seed + k) % SEEDS,
+            population_size=_POPULATION,
+            cov=covariance,
+        )
+        for k, covariance in enumerate(covariances)
+    ]
+    best, losses, left = np.zeros((len(known), dimension)), known.copy(), evaluations
+    active = np.arange(len(known))
+    while len(active) and (left := left - _POPULATION * len(active)) >= 0:
+        drawn = np.array([[optimisers[k].ask() for _ in range(_POPULATION)] for k in active])
+        values = loss(np.repeat(active, _POPULATION), drawn.reshape(-1, dimension)).reshape(-1, _POPULATION)
+        lowest = drawn[np.arange(len(active)), values.argmin(axis=1)], values.min(axis=1)
+        better = lowest[1] < losses[active]
+        best[active[better]], losses[active[better]] = lowest[0][better], lowest[1][better]
+        continuing = np.sort(np.argsort(losses[active], kind="stable")[: max(int(_CONTINUING * len(active)), _LEAST)])
+        if left < _POPULATION * len(continuing):
             break
-        kept = np.sort(np.argsort(losses[active], kind="stable")[: sizes[generation + 1]])
-        active, axes, lengths, roots = active[kept], axes[kept], lengths[kept], roots[kept]
-        steps = np.take_along_axis(steps[kept], ranks[kept, :, None], axis=1)
-        step = (steps[:, :parents] * weights[:parents, None]).sum(axis=1)  # eq. 41
-        mean[active] += sigma[active] * step  # eq. 42
-        inverse_root = axes / lengths @ axes.swapaxes(1, 2)
-        turned = np.sqrt(c_sigma * (2 - c_sigma) * mu) * (inverse_root @ step[..., None])[..., 0]
-        sigma_path[active] = (1 - c_sigma) * sigma_path[active] + turned  # eq. 43
-        length = np.linalg.norm(sigma_path[active], axis=1, keepdims=True)
-        sigma[active] *= np.exp(c_sigma / damping * (length / usual - 1))  # eq. 44
-        slow = length / np.sqrt(1 - (1 - c_sigma) ** (2 * generation + 4)) < (1.4 + 2 / (dimension + 1)) * usual
-        c_path[active] = (1 - c_c) * c_path[active] + slow * np.sqrt(c_c * (2 - c_c) * mu) * step  # eq. 45
-        squares = ((inverse_root @ steps.swapaxes(1, 2)) ** 2).sum(axis=1)
-        scaled = weights * np.where(weights >= 0, 1, dimension / (squares + _LEAST_VARIANCE))  # eq. 46
-        left = 1 + c_1 * (1 - slow) * c_c * (2 - c_c) - c_1 - c_mu * weights.sum()
-        one = c_path[active, :, None] * c_path[active, None]
-        several = (steps * scaled[..., None]).swapaxes(1, 2) @ steps
-        covariance[active] = left[..., None] * (roots @ roots.swapaxes(1, 2)) + c_1 * one + c_mu * several  # eq. 47
+        for k, candidates, of_candidates in zip(active[continuing], drawn[continuing], values[continuing], strict=True):
+            optimisers[k].tell(list(zip(candidates, of_candidates.tolist(), strict=True)))
+        active = np.array([k for k in active[continuing] if not optimisers[k].should_stop()], dtype=np.intp)
     return best, losses
+
+
+def _cma_class() -> Any:
+    """Import the class CMA, without importing scipy.stats.
+
+    The package cmaes works without SciPy. It imports scipy.stats, if it can, for variants of CMA-ES that are not used
+    here, which takes half a second and 65 MB. Where no other thread could import SciPy meanwhile, all of it is left
+    out, which takes 2 % of a whole command.
+    """
+    with _importing:
+        names = [_STATISTICS] if "cmaes" not in sys.modules and _STATISTICS not in sys.modules else []
+        if names and "scipy" not in sys.modules and threading.active_count() == 1:
+            names.append("scipy")
+        for name in names:
+            sys.modules[name] = None  # type: ignore[assignment]  # its import fails from here on
+        try:
+            from cmaes import CMA
+        finally:
+            for name in names:
+                del sys.modules[name]
+    return CMA
