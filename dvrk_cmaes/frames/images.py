@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.coco_mask import read_coco_mask
-from dvrk_cmaes.frames.label import ANY, Label, LabelText, is_of_colours, named, named_part, parse_label, selected
+from dvrk_cmaes.frames.label import ANY, Label, LabelText, named, parse_label, selected
 from dvrk_cmaes.frames.label import EXPECTED as LABEL
 from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.io.files import read_bytes
@@ -222,11 +222,11 @@ def _is_inverted(mask: Bool) -> bool:
 def _read_labels(path: str | Path, label: Label) -> NDArray[np.integer]:
     """Read the values (H, W) of an image of labels, the indices of one with a palette, or colours (H, W, 3), BGR."""
     what = "a mask of labels"
-    name = named_part(label)
+    name = next((part for part in label if isinstance(part, str) and part != ANY and not part.startswith("#")), None)
     if name is not None:
         raise InputError(f"{path}: label: expected {LABEL}, got {shown(name)} (names are those of categories in JSON)")
     data, header = _read_file(path, what)
-    if is_of_colours(label):
+    if any(isinstance(part, str) and part.startswith("#") for part in label):
         if len(label) > 1 and not all(isinstance(part, str) for part in label):
             raise InputError(f"{path}: label: expected either colours or values, got {', '.join(map(str, label))}")
         return decode_image(path, data, what, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)

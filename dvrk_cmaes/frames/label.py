@@ -54,16 +54,6 @@ def _parsed(where: str, part: object) -> int | str:
     raise InputError(f"{where}: expected {EXPECTED}, got {shown(part)}")
 
 
-def is_of_colours(label: Label) -> bool:
-    """Whether a label has a colour."""
-    return any(isinstance(part, str) and part.startswith("#") for part in label)
-
-
-def named_part(label: Label) -> str | None:
-    """Return the first part that is the name of a category, which only JSON has; None without one."""
-    return next((part for part in label if isinstance(part, str) and part != ANY and not part.startswith("#")), None)
-
-
 def selected(values: NDArray[np.integer], label: Label) -> Bool:
     """Return the pixels (H, W) of values (H, W), or of colours (H, W, 3), BGR, that a label selects."""
     mask = np.zeros(values.shape[:2], np.bool_)

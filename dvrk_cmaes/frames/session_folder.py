@@ -406,7 +406,7 @@ def _session_frames(
     """Find the frames of the session layout, its files of readings, the images' times, and notes on the formats."""
     views = _VIEWS if _is_stereo(root, mask_folder) else (".",)
     of_views = _pictures(root, mask_folder, views, filmed=video is not None)
-    _, images, ignore = of_views[0]
+    images = of_views[0][1]
     sources = () if joints is None else joints or _joint_files(root)
     tables = [root / name for name in _TABLES[:3]]
     check_own(root, [*tables, *(source for source in sources if isinstance(source, Path))])
@@ -441,20 +441,16 @@ def _session_frames(
         remarks.append(f"masks without an image or a row of readings: {listed(alone)}")
     frames, farthest = [], None
     for name, time in image_times.items():
-        others = {
-            view: FrameFiles(name, kinds[0].get(name), {}, kinds[1].get(name), kinds[2].get(name))
-            for view, kinds in zip(views[1:], of_views[1:], strict=True)
-        }
         moments = [time, *(file.time(name) for file in files if file.labels == "frame")]
-        moment = next((each / NANOSECONDS for each in moments if each is not None), None)
-        frame = FrameFiles(
-            name,
-            masks.get(name),
-            image=images.get(name),
-            ignore=ignore.get(name),
+        first, *further = (
+            FrameFiles(name, kinds[0].get(name), image=kinds[1].get(name), ignore=kinds[2].get(name))
+            for kinds in of_views
+        )
+        frame = replace(
+            first,
             keypoints=tips.get(name),
-            time=moment,
-            others=others,
+            time=next((each / NANOSECONDS for each in moments if each is not None), None),
+            others=dict(zip(views[1:], further, strict=True)),
             prompts=boxes.get(name),
             video=films.get(name),
         )

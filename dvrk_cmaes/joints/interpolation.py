@@ -8,8 +8,8 @@ one reading, both are that one. A rule returns whether readings are known at the
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from typing import Final
 
 import numpy as np
@@ -199,16 +199,14 @@ LEAST_ERROR: Final = 2e-4
 
 @dataclass(frozen=True, eq=False)
 class Sparseness:
-    """How far the outer joints (4,), rad and m, and the jaws, m, may be off at a time; the spacing, in words."""
+    """How far the outer joints (4,), rad and m, and the jaws, m, may be off at a time; the spacing, in words.
 
-    error: Float64
+    By default nothing is known of the readings.
+    """
+
+    error: Float64 = field(default_factory=partial(np.zeros, 4))
     off: float = 0.0
     between: str = ""
-
-    @staticmethod
-    def none() -> Sparseness:
-        """Return that of readings of which nothing is known."""
-        return Sparseness(np.zeros(4))
 
     @classmethod
     def of(cls, stamps: Float64, values: Float64, time: float) -> Sparseness:
@@ -228,10 +226,10 @@ class Sparseness:
         after = int(np.clip(np.searchsorted(stamps, time), 1, max(len(stamps) - 1, 1)))
         first, last = max(after - 2, 0), min(after + 2, len(stamps))
         if last - first < 3:
-            return cls.none()
+            return cls()
         spacing = float(stamps[after] - stamps[after - 1])
         if spacing < _LEAST_SPACING:
-            return cls.none()
+            return cls()
         steps, seconds = np.diff(values[first:last], axis=0), np.diff(stamps[first:last])
         rates = steps / seconds[:, None]
         between = (seconds[1:] + seconds[:-1])[:, None] / 2

@@ -99,6 +99,7 @@ def frame_readings(
     time: int | None = None,
     tolerance: int = TIME_TOLERANCE,
     single: bool = False,
+    needed: bool = False,
 ) -> FrameReadings:
     """Find the readings of one frame in all files of a session.
 
@@ -117,13 +118,15 @@ def frame_readings(
     tolerance
         Largest distance in time between the image and the readings before and after it, ns.
     single
-        Whether this is the only frame; the single row of a file is then used whatever its label.
+        Whether the only row of a file is used whatever its name.
+    needed
+        Whether each file must have a row of the frame; the only row of one without names of frames is used.
 
     Raises
     ------
     InputError
-        No reading is within the tolerance, the image's time is needed but not known, a joint is in two files, or a
-        cell is not valid.
+        No reading is within the tolerance, the image's time is needed but not known, a joint is in two files, a cell is
+        not valid, or a row that is ``needed`` is not there.
     """
     readings: dict[str, float] = {}
     origin: dict[str, str] = {}
@@ -135,7 +138,11 @@ def frame_readings(
             found, distance = _interpolated(file, frame, time, tolerance)
             farthest = max(distance, farthest or 0)
         else:
-            row, note = _row_of(file, frame, single=single)
+            row, note = _row_of(file, frame, single=single or (needed and file.labels != "frame"))
+            if row is None and needed:
+                near = listed(nearest_first(frame, file.names))
+                expected = f"expected one of its {len(file.values)} frames ({near})"
+                raise InputError(f"{file.path}: frame: {expected}, got {shown(frame)} (--frame)")
             found = {} if row is None else file.readings(row)
             notes.extend(note)
         for name, value in found.items():
@@ -191,24 +198,15 @@ def read_frame_joints(
             file if file.labels == "message" else file.by_number([name], read_as.offset, read_as.step) for file in files
         ]
     image_time = time_in_name(image) if time is None else time
-    for file in files:
-        only = len(file.values) == 1 and (frame is None or file.labels == "number")
-        found_by_label = file.labels != "message" and not only and not (image_time is not None and file.timed)
-        if found_by_label and _row_of(file, name, single=False)[0] is None:
-            count, near = len(file.values), listed(nearest_first(name, file.names))
-            raise InputError(
-                f"{file.path}: frame: expected one of its {count} frames ({near}), got {shown(name)} (--frame)"
-            )
-    if lag is None:
-        return frame_readings(files, name, time=image_time, single=True)
-    series = ReadingSeries.of_files(files, {name: image_time})
-    if series is None or name not in series.frames:
-        readings, notes, farthest = frame_readings(files, name, time=image_time, single=True)
-        return readings, (*notes, f"the lag of {lag.text} is not taken out of single readings"), farthest
-    found = series.of_frame(name, lag)
-    if not found:
-        raise InputError(f"{files[0].path}: frame {name}: expected readings {lag.text} before the image, got none")
-    return found, (f"readings of {lag.text} before the image",), None
+    series = None if lag is None else ReadingSeries.of_files(files, {name: image_time})
+    if lag is not None and series is not None and name in series.frames:
+        found = series.of_frame(name, lag)
+        if not found:
+            raise InputError(f"{files[0].path}: frame {name}: expected readings {lag.text} before the image, got none")
+        return found, (f"readings of {lag.text} before the image",), None
+    readings, notes, farthest = frame_readings(files, name, time=image_time, single=frame is None, needed=True)
+    late = () if lag is None else (f"the lag of {lag.text} is not taken out of single readings",)
+    return readings, (*notes, *late), farthest
 
 
 def is_written_out(text_or_path: str | Path) -> bool:

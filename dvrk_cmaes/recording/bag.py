@@ -23,7 +23,6 @@ from dvrk_cmaes.joints.names import ECM_JOINTS, notes_on_messages
 from dvrk_cmaes.joints.rows import JointFile
 from dvrk_cmaes.recording.camera import camera_file, read_camera_bytes
 from dvrk_cmaes.recording.messages import ecm_values, image_file, joint_places, joint_values, stamp, stamped_pose
-from dvrk_cmaes.recording.pose_table import read_timed_joints
 from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording
 from dvrk_cmaes.recording.topics import (
     IMAGES,
@@ -72,13 +71,14 @@ def _recording(reader: AnyReader, path: Path, asked: Asked) -> Recording:
     if asked.both and asked.side == "right":  # the readings are read with the left eye
         option, topic = "--image-topic-right", asked.image_topic_right
         asked = replace(asked, arms=(), joints=None, image_topic=topic, camera_topic=None, joints_topic=NONE)
-    camera, joints = asked.camera, asked.joints
+    camera = asked.camera
     types = {connection.topic: connection.msgtype for connection in reader.connections if connection.msgcount}
     has_images = asked.image_topic is not None or any(kind in IMAGES for kind in types.values())
     image = choose_image(path, types, asked, asked.side, option) if has_images else None
     info = choose_camera(path, types, asked, image) if image is not None and camera is None else None
     chosen = {
-        arm: choose_joints(path, types, asked, arm or None) if joints is None else [] for arm in asked.arms or ("",)
+        arm: choose_joints(path, types, asked, arm or None) if asked.joints is None else []
+        for arm in asked.arms or ("",)
     }
     read = {arm: [_Readings.of(reader, path, name, arm or None) for name in own] for arm, own in chosen.items()}
     if (ecm := ecm_topic(types, next(iter(next(iter(chosen.values()))), None))) is not None:
@@ -110,7 +110,7 @@ def _recording(reader: AnyReader, path: Path, asked: Asked) -> Recording:
     by_recording = asked.recorded_times or bool(faults)
     arms: dict[str, tuple[TimedReadings, ...]] = {}
     for arm, of_arm in read.items():
-        given = () if joints is None else read_timed_joints(joints, arm or None)
+        given, _ = asked.given_readings(arm or None)
         times = {own.topic: own.recorded if by_recording else own.stamps for own in of_arm}
         series = *(TimedReadings.of(own.topic, own.joints, times[own.topic], own.values) for own in of_arm), *given
         name = f"{arm}: " if len(read) > 1 else ""

@@ -8,7 +8,6 @@ from the left camera to the right one.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from configparser import ConfigParser, SectionProxy
 from configparser import Error as IniError
 from pathlib import Path
@@ -23,7 +22,6 @@ from dvrk_cmaes.camera.files import read_camera_file
 from dvrk_cmaes.camera.ros import camera_info_text
 from dvrk_cmaes.camera.stereo import pose_of_storage
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.files import read_bytes, read_text
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.io.yaml_file import yaml_text
@@ -35,11 +33,6 @@ def read_camera_bytes(path: Path) -> bytes:
     """Read the bytes of a camera file, unchanged; InputError if it is not a camera file."""
     read_camera_file(path)
     return read_bytes(path, expected="a camera file", largest=_LARGEST)
-
-
-def with_pose(right: Mapping[str, Any], right_from_left: Float64) -> bytes:
-    """Return the camera file of a right eye, given its content, with the pose (4, 4), m, of raw cameras added."""
-    return yaml_text({**right, "right_from_left": right_from_left.tolist()}).encode()
 
 
 def camera_file(message: Any, name: str, where: str) -> bytes:

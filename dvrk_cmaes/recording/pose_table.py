@@ -21,8 +21,6 @@ from dvrk_cmaes.instrument.inverse_kinematics import POSED_JOINTS, find_joints
 from dvrk_cmaes.io.csv_file import number_in, read_csv_rows
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import TimedReadings
-from dvrk_cmaes.joints.reading import read_joint_file
-from dvrk_cmaes.joints.rows import JointFile, ReadAs
 from dvrk_cmaes.joints.times import parse_time
 
 PosePoint = Literal["tip", "wrist-yaw"]
@@ -105,26 +103,3 @@ def poses_of(wheres: Sequence[str], values: Float64) -> Float64:
         if not abs(length - 1) <= _UNIT:
             raise InputError(f"{where}: qx: expected a unit quaternion qx, qy, qz, qw, got {shown(row[3:].tolist())}")
     return transform(Rotation.from_quat(values[:, 3:]).as_matrix(), values[:, :3])
-
-
-def read_timed_joints(
-    path: Path | JointFile | tuple[TimedReadings, ...], arm: str | None = None
-) -> tuple[TimedReadings, ...]:
-    """Read a file of readings whose rows have times; joints with the same times are in one time series.
-
-    Those that were read already are returned as they are. ``arm`` is the one of a file with those of several.
-
-    Raises
-    ------
-    InputError
-        The file is not one of readings, or its rows have no times.
-    """
-    if isinstance(path, tuple):
-        return path
-    file = path if isinstance(path, JointFile) else read_joint_file(path, read_as=ReadAs(arm))
-    if not file.timed:
-        raise InputError(
-            f"{file.path}: expected joint readings with times (a column time, in seconds), got rows of "
-            f"{', '.join(file.joints)} without"
-        )
-    return file.timed

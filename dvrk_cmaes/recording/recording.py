@@ -18,7 +18,7 @@ from dvrk_cmaes.joints.interpolation import TimedReadings
 from dvrk_cmaes.joints.names import joint_reading, joints_by_count
 from dvrk_cmaes.joints.reading import read_joint_file
 from dvrk_cmaes.joints.rows import JointFile, ReadAs
-from dvrk_cmaes.recording.pose_table import PosePoint, read_timed_joints
+from dvrk_cmaes.recording.pose_table import PosePoint
 
 _PLAIN = re.compile(r"[\w-][\w.-]*")  # a row's name that is also that of a file
 
@@ -87,11 +87,11 @@ class Asked:
         """The arm whose readings are read; None for the only one."""
         return self.arms[0] if self.arms else None
 
-    def read(self) -> Asked:
-        """Return the same with the file of readings read."""
+    def read(self, arm: str | None = None) -> Asked:
+        """Return the same with the file of readings read, of one with those of several arms those of ``arm``."""
         if not isinstance(self.joints, Path):
             return self
-        return replace(self, joints=read_joint_file(self.joints, read_as=ReadAs(columns=self.columns)))
+        return replace(self, joints=read_joint_file(self.joints, read_as=ReadAs(arm, self.columns)))
 
     def row_names(self, count: int | None) -> tuple[str, ...]:
         """Return the names of frames that the rows of the readings have, if these were read and are ``count``."""
@@ -99,9 +99,18 @@ class Asked:
         names = tuple(file.names) if isinstance(file, JointFile) and file.labels == "frame" else ()
         return names if len(names) == count and all(map(_PLAIN.fullmatch, names)) else ()
 
-    def given_readings(self) -> tuple[tuple[TimedReadings, ...], list[str]]:
-        """Read ``joints``, and say which file each joint is from; none where no file is given."""
-        readings = () if self.joints is None else read_timed_joints(self.joints)
+    def given_readings(self, arm: str | None = None) -> tuple[tuple[TimedReadings, ...], list[str]]:
+        """Read ``joints``, and say which file each joint is from; none where no file is given.
+
+        InputError for a file that is not one of readings, or whose rows have no times.
+        """
+        given = self.read(arm).joints
+        if isinstance(given, JointFile) and not given.timed:
+            got = f"rows of {', '.join(given.joints)} without"
+            expected = "joint readings with times (a column time, in seconds)"
+            raise InputError(f"{given.path}: expected {expected}, got {got}")
+        assert not isinstance(given, Path)
+        readings = given.timed if isinstance(given, JointFile) else given or ()
         return readings, [f"{' '.join(series.joints)}: {series.source}" for series in readings]
 
 

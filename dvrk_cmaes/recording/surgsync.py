@@ -44,10 +44,11 @@ from dvrk_cmaes.io.files import check_file, read_bytes
 from dvrk_cmaes.io.json_file import read_json, read_json_object
 from dvrk_cmaes.io.parquet_file import field_names, read_columns
 from dvrk_cmaes.io.short_text import listed, shown
+from dvrk_cmaes.io.yaml_file import yaml_text
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, known_where, weighted_mean
 from dvrk_cmaes.joints.names import ECM_JOINTS, joint_reading, joints_by_count
 from dvrk_cmaes.joints.times import parse_stamp, parse_time
-from dvrk_cmaes.recording.camera import read_camera_bytes, with_pose
+from dvrk_cmaes.recording.camera import read_camera_bytes
 from dvrk_cmaes.recording.messages import stored_image
 from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording, listed_readings
 from dvrk_cmaes.recording.video import images_of
@@ -313,7 +314,8 @@ def camera_of_clip(folder: Path, asked: Asked) -> tuple[bytes, str]:
     if has_pose(str(lens), right):
         return data, str(lens)
     pose, notes = pose_of_storage(str(stereo), read_document(stereo), rectified=False)
-    return with_pose(right, pose), "; ".join([f"{lens}, pose between the eyes: {stereo}", *notes])
+    right = {**right, "right_from_left": pose.tolist()}  # of raw cameras
+    return yaml_text(right).encode(), "; ".join([f"{lens}, pose between the eyes: {stereo}", *notes])
 
 
 def _images(path: Path, side: Side) -> dict[int, Path]:

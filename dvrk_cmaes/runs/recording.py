@@ -145,12 +145,12 @@ def _sparseness(recorded: RecordedFrames, lag: Lag | None) -> list[Sparseness]:
     """Return for each of N frames how far its readings may be off between those that were taken."""
     series = recorded.series
     if series.unit != "s" or not set(OUTER_JOINTS) <= set(series.times):
-        return [Sparseness.none()] * len(recorded.files)
+        return [Sparseness()] * len(recorded.files)
     stamps, late = series.times[OUTER_JOINTS[0]], 0.0 if lag is None else lag.in_unit("s")
     values = series.at(OUTER_JOINTS, stamps)
     read = ~np.isnan(values).any(axis=1)
     if not read.any():
-        return [Sparseness.none()] * len(recorded.files)
+        return [Sparseness()] * len(recorded.files)
     return [Sparseness.of(stamps[read], values[read], series.frames[own.name] - late) for own in recorded.files]
 
 

@@ -126,7 +126,7 @@ def test_views_disagree_by_a_rotation_that_is_large_and_certain(
 TRUST = TrustConfig()
 ACCURATE, INACCURATE = EXPECTED, ExpectedError({"mean": 5.0}, {}, 5.0, 0.4)
 BASE = (*("base known to 1.2 mm", "base_uncertain"), (1.2, 9, 3.0, 2.0), (1.2, 9, 1.0, 2.0))
-SPARSE = Sparseness(np.zeros(4), 0.01, "every 100 ms"), Sparseness.none()
+SPARSE = Sparseness(np.zeros(4), 0.01, "every 100 ms"), Sparseness()
 EXAMPLES: list[tuple[str, str, tuple[Any, ...], tuple[Any, ...]]] = [
     ("overlap too low", "overlap_too_low", (GOOD, 0.98), (GOOD, 0.96)),
     ("wrist or jaws off", "wrist_or_jaws_off", (GOOD, 0.7), (GOOD, 0.9)),
