@@ -215,19 +215,18 @@ def _read_view(files: FrameFiles, view: View, *, masked: bool, blank: bool) -> t
     what, path = ("image", image_path(files)) if mask is None else ("mask", files.mask)
     fitted, note = match_size(view.camera, seen.shape[:2], what, f"{path}: ")
     notes = () if note is None else (note,)
-    ignore = _ignored(files, seen.shape, what)
+    view = replace(view, camera=fitted)
+    ignore, tips = _ignored(files, seen.shape, what), files.keypoints
+    tips = tips if tips is None or files.crop is None else tips - files.crop[:2]
+    found = seen_by(view, mask, ignore=ignore, image=image, keypoints=tips)
     if mask is not None and image is not None:
         if abs(image.shape[1] * mask.shape[0] / (image.shape[0] * mask.shape[1]) - 1) > 0.005:
-            raise InputError(
-                f"{image_path(files)}: expected the mask's size {_size(mask.shape)}, or one of that aspect, "
-                f"got {_size(image.shape)}"
-            )
+            expected = f"the mask's size {_size(mask.shape)}, or one of that aspect"
+            raise InputError(f"{image_path(files)}: expected {expected}, got {_size(image.shape)}")
         border = outside_view(image)
         if border.any():
-            small = cv2.resize(border.astype(np.uint8), mask.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
-            ignore, notes = np.asarray(small if ignore is None else ignore | small), (*notes, IGNORED)
-    view = replace(view, camera=fitted)
-    return seen_by(view, mask, ignore=ignore, image=image, keypoints=_moved(files)), (*files.notes, *notes)
+            found, notes = found.without(resized(border, mask.shape[::-1])), (*notes, IGNORED)
+    return found, (*files.notes, *notes)
 
 
 def image_path(files: FrameFiles) -> Path | None:
@@ -264,18 +263,11 @@ def _cropped(files: FrameFiles, pixels: NDArray[Any], path: Path) -> NDArray[Any
     return part_of(pixels, files.crop)
 
 
-def _cropped_like(files: FrameFiles, pixels: Bool, shape: tuple[int, ...]) -> Bool:
-    """Return pixels of the whole images for a mask or an image of some shape, of the part that is used."""
-    if files.crop is not None:
-        pixels = part_of(pixels, files.crop)
-    if pixels.shape == shape[:2]:
+def resized(pixels: Bool, size: tuple[int, int]) -> Bool:
+    """Return pixels (H, W) in another size, width and height: each as the nearest one is."""
+    if pixels.shape == size[::-1]:
         return pixels
-    return np.asarray(cv2.resize(pixels.astype(np.uint8), shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0)
-
-
-def _moved(files: FrameFiles) -> Float64 | None:
-    """Return the jaw tips (2, 2) in pixels of the part of the picture that is used."""
-    return files.keypoints if files.keypoints is None or files.crop is None else files.keypoints - files.crop[:2]
+    return np.asarray(cv2.resize(pixels.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0)
 
 
 def _ignored(files: FrameFiles, shape: tuple[int, ...], what: str) -> Bool | None:
@@ -286,7 +278,8 @@ def _ignored(files: FrameFiles, shape: tuple[int, ...], what: str) -> Bool | Non
             f"{files.ignore}: expected the {what}'s size {_size(shape)}, got {_size(ignore.shape)} (width x height)"
         )
     if files.overlaid is not None:
-        over = _cropped_like(files, np.asarray(cv2.imdecode(np.frombuffer(files.overlaid, np.uint8), 0)) > 0, shape)
+        over = np.asarray(cv2.imdecode(np.frombuffer(files.overlaid, np.uint8), 0)) > 0
+        over = resized(over if files.crop is None else part_of(over, files.crop), (shape[1], shape[0]))
         ignore = over if ignore is None else ignore | over
     for tool in files.other_tools:
         assert tool.mask is not None

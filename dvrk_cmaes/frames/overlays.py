@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from dvrk_cmaes.frames.field_of_view import outside_view
-from dvrk_cmaes.frames.frame import FrameFiles, image_of, mask_of, readable
+from dvrk_cmaes.frames.frame import FrameFiles, image_of, mask_of, readable, resized
 from dvrk_cmaes.frames.session_folder import OVERLAID, Session
 from dvrk_cmaes.geometry import Bool, Float32, Image
 
@@ -59,9 +59,9 @@ def overlaid(images: Sequence[Image], masks: Sequence[Bool] = ()) -> Bool | None
     found = outside | _texts(
         [np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)) for image in small],
         ~outside,
-        [_resized(mask, size) for mask in masks],
+        [resized(mask, size) for mask in masks],
     )
-    return _resized(found, (width, height)) if found.any() else None
+    return resized(found, (width, height)) if found.any() else None
 
 
 def _texts(images: Sequence[Image], inside: Bool, masks: Sequence[Bool]) -> Bool:
@@ -121,13 +121,6 @@ def _is_instrument(block: Bool, masks: Sequence[Bool], *, at_edge: bool) -> bool
 def _widened(mask: Image, by: int) -> Image:
     """Widen a mask by some px."""
     return np.asarray(cv2.dilate(mask, np.ones((2 * by + 1, 2 * by + 1), np.uint8)))
-
-
-def _resized(mask: Bool, size: tuple[int, int]) -> Bool:
-    """Return a mask in another size, width and height."""
-    if mask.shape == size[::-1]:
-        return mask
-    return np.asarray(cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0)
 
 
 def with_overlaid(session: Session) -> Session:

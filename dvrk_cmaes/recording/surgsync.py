@@ -39,8 +39,8 @@ import numpy as np
 from dvrk_cmaes.camera.files import Side, read_document
 from dvrk_cmaes.camera.stereo import has_pose, pose_of_storage
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.video_frames import EXPECTED, Video
-from dvrk_cmaes.io.files import check_file, read_bytes
+from dvrk_cmaes.frames.video_frames import Video
+from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.json_file import read_json, read_json_object
 from dvrk_cmaes.io.parquet_file import field_names, read_columns
 from dvrk_cmaes.io.short_text import listed, shown
@@ -162,33 +162,30 @@ def open_packed(path: Path, asked: Asked) -> Recording:
     if not (path / _STAMPS).is_file():
         episodes = sorted(found.parent.relative_to(path).as_posix() for found in path.glob(f"*/episodes/*/*/{_STAMPS}"))
         raise InputError(f"{path}: expected the folder of one episode, one of {listed(episodes) or 'none'}")
-    video, rectified = _video(path, asked.eye, asked.camera)
+    video, kind = _video(path, asked.eye, asked.camera)
     images, taken = _times(path, asked.eye)
     lens, source = camera_of_clip(path / "calibration", asked)
-    kind = "rectified" if rectified else "raw"
-    notes = [f"images: {video.relative_to(path)} ({kind})", f"camera: {source}", f"times: {_TIME}"]
+    notes = [f"images: {video.path.relative_to(path)} ({kind})", f"camera: {source}", f"times: {_TIME}"]
     readings, said = asked.given_readings()
     if asked.joints is None:
         arms = [file.stem for file in path.glob("*.parquet") if file.stem.startswith(("PSM", "ECM"))]
         readings, said = _readings(path, chosen_arm(path, arms, asked.arm, "episode"), images, taken)
     expected = f", one for each row of {_STAMPS}"
-    recorded = images_of(Video(video), lambda k, _: images.get(k), count=len(taken[_LEFT]), expected=expected)
+    recorded = images_of(video, lambda k, _: images.get(k), count=len(taken[_LEFT]), expected=expected)
     return Recording(path, recorded, len(images), lens, {"": readings}, (*notes, *said))
 
 
-def _video(path: Path, side: Side, camera: Path | None) -> tuple[Path, bool]:
-    """Return an eye's video, the raw one if there is one, and whether it is rectified."""
+def _video(path: Path, side: Side, camera: Path | None) -> tuple[Video, str]:
+    """Return an eye's video, the raw one if there is one, and what its images are."""
     raw, rectified = path / "video_raw" / f"stereo_{side}.mkv", path / "video" / f"stereo_{side}.mp4"
     if raw.is_file() or not rectified.is_file():
-        check_file(raw, expected=EXPECTED)
-        return raw, False
+        return Video(raw), "raw"
     if camera is None:
         raise InputError(
             f"{path}: --camera: expected {raw.relative_to(path)}, or the camera file of the rectified images of "
             f"{rectified.relative_to(path)}; got none"
         )
-    check_file(rectified, expected=EXPECTED)
-    return rectified, True
+    return Video(rectified), "rectified"
 
 
 def _times(path: Path, side: Side) -> tuple[dict[int, int], dict[str, list[int]]]:
