@@ -196,18 +196,20 @@ def _times(path: Path, side: Side) -> tuple[dict[int, int], dict[str, list[int]]
     table, meta = path / _STAMPS, path / _META
     start = 0
     if meta.is_file():
-        start = _whole(meta, "master_t0_ns", read_json_object(meta, expected=f"a packed episode's {_META}"))
+        start = _whole(
+            meta, "master_t0_ns", read_json_object(meta, expected=f"a packed episode's {_META}").get("master_t0_ns")
+        )
     of_right = f"{_AGAINST}image_right_ns"
     others = [name for name in field_names(table) if name.startswith(_AGAINST)]
     columns = read_columns(table, (_ROW, _TIME, *([of_right] if side == "right" else [])), others)
     if columns[_ROW] != list(range(len(columns[_ROW]))) or not columns[_ROW]:
         raise InputError(f"{table}: {_ROW}: expected the numbers from 0 on, got {shown(columns[_ROW][:5])}")
-    left = [start + _whole(table, _TIME, {_TIME: value}) for value in columns[_TIME]]
+    left = [start + _whole(table, _TIME, value) for value in columns[_TIME]]
     if any(later <= before for before, later in pairwise(left)):
         raise InputError(f"{table}: {_TIME}: expected increasing times, got others")
     taken = {_LEFT: left}
     for name in others:
-        offs = (0 if off is None else _whole(table, name, {name: off}) for off in columns[name])
+        offs = (0 if off is None else _whole(table, name, off) for off in columns[name])
         taken[name.removeprefix(_AGAINST).removesuffix("_ns")] = [t + off for t, off in zip(left, offs, strict=True)]
     seen = taken["image_right" if side == "right" else _LEFT]
     there = columns[of_right] if side == "right" else left
@@ -237,9 +239,8 @@ def _readings(
     return tuple(taken), [*notes, *([f"not taken: {listed(rest, 40)}"] if rest else [])]
 
 
-def _whole(path: Path, name: str, document: Mapping[str, Any]) -> int:
-    """Return a field that is a whole number, ns."""
-    value = document.get(name)
+def _whole(path: Path, name: str, value: Any) -> int:
+    """Return the value of a field that is a whole number, ns."""
     if isinstance(value, bool) or not isinstance(value, int) or not _OLDEST < value < _LATEST:
         raise InputError(f"{path}: {name}: expected a whole number of nanoseconds, got {shown(value)}")
     return value
@@ -376,9 +377,7 @@ def at_images(
             f"{source}: {', '.join(joints)}: expected readings within {_FARTHEST / NANOSECONDS:g} s of the images, "
             f"got none; the nearest is {away:.6g} s away"
         )
-    series = TimedReadings.of(source, joints, [taken[number] for number in values], list(values.values()))
-    moments = [images[number] for number in values]
-    at, gaps = np.array(moments, dtype=np.int64), known_where(away=_WIDEST_GAP)
-    known, interpolated = series.known(at, gaps), series.at(at, gaps, weighted_mean).tolist()
-    at_images = [new if there else own for new, own, there in zip(interpolated, values.values(), known, strict=True)]
-    return TimedReadings.of(source, joints, moments, at_images)
+    own, at = np.array(list(values.values())), np.array([images[number] for number in values], dtype=np.int64)
+    series = TimedReadings.of(source, joints, [taken[number] for number in values], own)
+    found = series.at(at, known_where(away=_WIDEST_GAP), weighted_mean)
+    return TimedReadings.of(source, joints, at, np.where(np.isnan(found), own, found))
