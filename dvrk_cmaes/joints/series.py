@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -53,11 +54,18 @@ class ReadingSeries:
         for k, name in enumerate(names):
             if name in self.times:
                 readings = TimedReadings((name,), self.times[name], self.values[name][:, None])
-                least = _LEAST_GAP if self.unit == "s" else 0.0
-                gap = np.inf if np.isnan(readings.spacing) else max(_SPACINGS * readings.spacing, least)
-                curve = smooth_spline if smoothed else straight_line
-                out[:, k] = readings.at(times, known_where(apart=gap), curve)[:, 0]
+                gaps, curve = known_where(apart=self._gaps[name]), smooth_spline if smoothed else straight_line
+                out[:, k] = readings.at(times, gaps, curve)[:, 0]
         return out
+
+    @cached_property
+    def _gaps(self) -> Mapping[str, float]:
+        """Longest times over which the readings of each joint are interpolated."""
+        least = _LEAST_GAP if self.unit == "s" else 0.0
+        return {
+            name: max(_SPACINGS * float(np.median(np.diff(stamps))), least) if len(stamps) > 2 else np.inf
+            for name, stamps in self.times.items()
+        }
 
     def of_frame(self, name: str, lag: Lag) -> dict[str, float]:
         """Return the readings at the time of a frame's image less the lag, by joint; without those that are not there.

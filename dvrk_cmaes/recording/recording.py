@@ -42,8 +42,7 @@ class Asked:
     start
         Time of a video's first image in that of the readings, s.
     layout, crop
-        Of a video: where the eyes are in a picture, and its part that is used, as in
-        `eye_window`.
+        Of a video: where the eyes are in a picture, and its part that is used, as in `Video.window`.
     episode
         Number of the episode of a LeRobot data set.
     posed

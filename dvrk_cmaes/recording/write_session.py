@@ -123,7 +123,10 @@ def write_session(
     summaries: list[InterpolationSummary] = []
     warnings: tuple[str, ...] = ()
     names, times, size, apart = list[str](), list[int](), (0, 0), list[int]()
-    numbers, lag, said = count(), lag if recording.camera else None, list[str]()
+    numbers, said = count(), list[str]()
+    seconds = 0.0 if lag is None or not recording.camera else lag.in_unit("s")
+    if abs(seconds) > LARGEST_SECONDS:
+        raise InputError(f"lag: expected at most {LARGEST_SECONDS:g} s in magnitude, got {seconds:g} s")
     if masks is not None and (recording.right is not None or not recording.camera):
         raise InputError(f"{masks}: --masks: expected a recording with images of one eye")
     with whole_folder(out, "import", overwrite=overwrite, source=recording.path) as folder:
@@ -143,7 +146,7 @@ def write_session(
             at = times if names or not readings else readings[0].times.tolist()
             if not at:
                 raise InputError(f"{recording.path}: expected images or readings, got neither")
-            read_at = at if lag is None else _earlier(at, lag)
+            read_at = [time - round(seconds * NANOSECONDS) for time in at]
             tables, columns, of_arm = _interpolate(recording.path, readings, read_at, round(tolerance * NANOSECONDS))
             keys = {**({"frame": names} if names else {}), "time": [_seconds_text(time) for time in at]}
             rows = ((*key, *row) for *key, row in zip(*keys.values(), tables, strict=True))
@@ -159,7 +162,6 @@ def write_session(
             except InputError as error:
                 warnings = (*warnings, f"the images do not fit the camera: {error}")
             write_text(folder / SESSION_FILE, session_toml(cameras, tools))
-    seconds = 0.0 if lag is None else lag.in_unit("s")
     late = [f"readings of {seconds:g} s before each image"] if seconds else []
     notes = (*recording.notes, *said, *late)
     if recording.right is not None:
@@ -203,14 +205,6 @@ def _check_times(path: Path, names: Sequence[str], times: Sequence[int]) -> tupl
             f"{len(back)} places: track will refuse it; --recorded-times uses the times of recording"
         )
     return tuple(warnings)
-
-
-def _earlier(times: Sequence[int], lag: Lag) -> list[int]:
-    """Return the times, ns, at which what images of some times show was read."""
-    seconds = lag.in_unit("s")
-    if abs(seconds) > LARGEST_SECONDS:
-        raise InputError(f"lag: expected at most {LARGEST_SECONDS:g} s in magnitude, got {seconds:g} s")
-    return [time - round(seconds * NANOSECONDS) for time in times]
 
 
 def _arm_of(readings: Sequence[TimedReadings]) -> str | None:
