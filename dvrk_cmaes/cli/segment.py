@@ -77,10 +77,11 @@ def segment(
     import cv2
 
     from dvrk_cmaes.cli.session_tools import pictures_at
+    from dvrk_cmaes.frames.frame import FrameFiles
     from dvrk_cmaes.frames.session_folder import find_images
     from dvrk_cmaes.io.output import whole_folder
     from dvrk_cmaes.results.folder import check_output
-    from dvrk_cmaes.runs.backgrounds import learned_backgrounds
+    from dvrk_cmaes.runs.backgrounds import with_backgrounds
     from dvrk_cmaes.silhouette.prepare import prepare
 
     hints = model.hints()
@@ -92,12 +93,12 @@ def segment(
     images = {name: path for name, path in images.items() if fnmatch(name, pattern or "*")}
     if not images:
         raise InputError(f"{source}: expected images (PNG or JPEG), got none")
-    views: dict[str, list[Path]] = {}
+    views: dict[str, list[FrameFiles]] = {}
     for frame, path in images.items():
-        views.setdefault(frame.rpartition("/")[0], []).append(path)
-    settings = learned_backgrounds(model.resolve(), views)
-    for frame in images:
-        check_output(out, frame.rpartition("/")[2])
+        view, _, name = frame.rpartition("/")
+        check_output(out, name)
+        views.setdefault(view, []).append(FrameFiles(name, None, image=path))
+    settings = with_backgrounds(model.resolve(), views)
     with whole_folder(out, "segment", overwrite=True, kept=("masks", "overlays")) as temporary:
         for text in settings.notes:
             note(text)

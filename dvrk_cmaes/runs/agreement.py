@@ -89,20 +89,14 @@ def _distances(first: Mapping[str, Result], second: Mapping[str, Result]) -> dic
 
     Of frames in which both were found and read.
     """
-    return {
-        name: (
-            _distance(a.joints, a.readings) + _distance(b.joints, b.readings),
-            _distance(a.joints, b.readings) + _distance(b.joints, a.readings),
-        )
-        for name, a in first.items()
-        if (b := second.get(name)) is not None and all((a.joints, a.readings, b.joints, b.readings))
-    }
-
-
-def _distance(found: Mapping[str, float], read: Mapping[str, float]) -> float:
-    """Return the summed squares of the distances of found joints from readings, rad^2."""
-    names = [name for name in _JOINTS if name in found and name in read]
-    return float(sum((found[name] - read[name]) ** 2 for name in names))
+    found = {}
+    for name, one in first.items():
+        other = second.get(name)
+        if other is not None and all((one.joints, one.readings, other.joints, other.readings)):
+            tools = one.joints, other.joints, one.readings, other.readings
+            at, read = np.split(np.array([[own.get(joint, np.nan) for joint in _JOINTS] for own in tools]), 2)
+            found[name] = float(np.nansum((at - read) ** 2)), float(np.nansum((at - read[::-1]) ** 2))
+    return found
 
 
 FEWEST = 5

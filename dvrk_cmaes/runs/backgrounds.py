@@ -2,57 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.frames.frame import FrameFiles, image_of, readable
-from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.segment.background import MOST, learn_background
 from dvrk_cmaes.segment.segmentation import SegmentSettings
 from dvrk_cmaes.silhouette.threads import map_threaded
-
-Load = Callable[[], NDArray[np.uint8] | None]
-"""A function that reads an image, or None where there is none."""
 
 _APART: Final = {"insertion": 0.003}  # m, by which readings differ of images that show the tool in another place
 _APART_RAD: Final = 0.02  # the same of joints that turn
 
 
-def with_backgrounds(
-    settings: SegmentSettings, frames: Sequence[FrameFiles], views: Sequence[str] = ("",)
-) -> SegmentSettings:
-    """Return settings with the backgrounds of a session's frames, for the frames that have images and no masks.
+def with_backgrounds(settings: SegmentSettings, frames: Mapping[str, Sequence[FrameFiles]]) -> SegmentSettings:
+    """Return settings with the backgrounds of frames by view, learned from those that have images and no masks.
 
-    ``views`` are the names of the session's views, the reference first. As `learned_backgrounds`.
+    The camera stands still before the instrument. Backgrounds are used by the classic model alone. Images that cannot
+    be read do not count.
     """
-    images: dict[str, list[FrameFiles]] = {name: [] for name in views}
-    for files in frames:
-        for name in views:
-            own = files if name == views[0] else files.others.get(name)
-            if own is not None and own.mask is None and own.image is not None and own.problem is None:
-                images[name].append(own)
-    loads = {name: [partial(image_of, own) for own in _moved(of_view)] for name, of_view in images.items()}
-    return _learned(settings, {name: of_view for name, of_view in loads.items() if of_view})
-
-
-def learned_backgrounds(settings: SegmentSettings, images: Mapping[str, Sequence[Path]]) -> SegmentSettings:
-    """Return settings with the backgrounds of images by view, where the camera stands still before the instrument.
-
-    They are used by the classic model alone. Images that cannot be read do not count.
-    """
-    return _learned(settings, {name: [partial(read_image, path) for path in paths] for name, paths in images.items()})
-
-
-def _learned(settings: SegmentSettings, images: Mapping[str, Sequence[Load]]) -> SegmentSettings:
-    """Return settings with the backgrounds of images by view, each of which a function loads."""
     if settings.model != "classic":
         return settings
+    images = {name: _moved([own for own in of_view if _is_segmented(own)]) for name, of_view in frames.items()}
+    images = {name: of_view for name, of_view in images.items() if of_view}
     learned = dict(zip(images, map_threaded(_learn, list(images.values()), len(images)), strict=True))
     notes = []
     for view, found in learned.items():
@@ -65,9 +41,16 @@ def _learned(settings: SegmentSettings, images: Mapping[str, Sequence[Load]]) ->
     return replace(settings, backgrounds=backgrounds, notes=tuple(notes))
 
 
-def _learn(images: Sequence[Load]) -> NDArray[np.uint8] | str:
-    """Learn the background of the images of one view, or return why there is none."""
-    return learn_background([image for load in _spread(images, MOST) if (image := readable(load)) is not None])
+def _is_segmented(files: FrameFiles) -> bool:
+    """Whether the mask of a view of a frame is to be found in its image."""
+    return files.mask is None and files.image is not None and files.problem is None
+
+
+def _learn(frames: Sequence[FrameFiles]) -> NDArray[np.uint8] | str:
+    """Learn the background of the images of one view, of many from some spread evenly; or return why there is none."""
+    chosen = (frames[int(k)] for k in np.unique(np.linspace(0, len(frames) - 1, MOST).round()))
+    images = (readable(partial(image_of, files)) for files in chosen)
+    return learn_background([image for image in images if image is not None])
 
 
 def _moved(frames: Sequence[FrameFiles]) -> list[FrameFiles]:
@@ -83,8 +66,3 @@ def _differ(first: Mapping[str, float], second: Mapping[str, float]) -> bool:
     """Whether the readings of two frames show the tool in two places; True where they have none in common."""
     common = first.keys() & second.keys()
     return not common or any(abs(first[name] - second[name]) > _APART.get(name, _APART_RAD) for name in common)
-
-
-def _spread(images: Sequence[Load], most: int) -> list[Load]:
-    """Return at most some of the images, spread evenly over all."""
-    return [images[int(k)] for k in np.unique(np.linspace(0, len(images) - 1, most).round())]

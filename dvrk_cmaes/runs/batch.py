@@ -138,7 +138,9 @@ def run_batch(
     frames = chosen_frames([*noted], pattern)
     for files in frames:
         check_output(out, files.name)
-    masks = with_backgrounds(method.segment or SegmentSettings(), session.frames, session.rig.names)
+    views = [files.of_views(session.rig) for files in session.frames]
+    of_views = {name: [of_frame[name] for of_frame in views] for name in session.rig.names}
+    masks = with_backgrounds(method.segment or SegmentSettings(), of_views)
     method = replace(method, config=with_commanded(method.config, commanded, names), segment=masks)
     arm = replace(arm, method=method)
     started = time.monotonic()

@@ -49,7 +49,6 @@ class SolverProcess(ExitStack):
         self.callback(self._end)
         self._last: Future[Any] = Future()  # of what was asked for last
         self._last.set_result(None)
-        self._wanted: set[str] = set()  # names of the keyframes of the last problem, which the next one may have again
         self._alone: dict[str, Result | None] = {}  # what was found of single keyframes, None where that failed
         if background:
             self._process.begin()
@@ -59,7 +58,6 @@ class SolverProcess(ExitStack):
 
         The solution raises DvrkCmaesError if the process died twice on it.
         """
-        self._wanted = {keyframe.name for keyframe in problem.keyframes}
         self._last = future = self._asking.submit(self._solved, problem)
         return future
 
@@ -71,7 +69,7 @@ class SolverProcess(ExitStack):
         """
         if self._last.done():
             by_name = {task.keyframes[0].name: task for task in tasks}
-            self._alone = {name: found for name, found in self._alone.items() if name in self._wanted | by_name.keys()}
+            self._alone = {name: found for name, found in self._alone.items() if name in by_name}
             name = next((name for name in by_name if name not in self._alone), None)
             if name is not None:
                 self._last = self._asking.submit(self._estimated, name, by_name[name])

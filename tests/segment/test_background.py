@@ -16,7 +16,7 @@ from helpers.files import read_image, read_mask, write_image
 from dvrk_cmaes import Camera, InputError, read_camera
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.runs.backgrounds import learned_backgrounds, with_backgrounds
+from dvrk_cmaes.runs.backgrounds import with_backgrounds
 from dvrk_cmaes.segment import segment
 from dvrk_cmaes.segment.background import foreground_log_odds, learn_background, segment_before
 from dvrk_cmaes.segment.prompts import no_prompts
@@ -157,6 +157,11 @@ def test_empty_table_has_no_instrument() -> None:
     assert found.confidence == 0
 
 
+def pictures(paths: list[Path]) -> list[FrameFiles]:
+    """Give frames that have images alone."""
+    return [FrameFiles(path.stem, None, image=path) for path in paths]
+
+
 def test_backgrounds_are_learned_where_the_scene_stands_still(tmp_path: Path) -> None:
     for name, drawn in (("bench", drawn_on("paper")), ("tissue", [draw_tool(seed=k) for k in range(8)])):
         for k, each in enumerate(drawn):
@@ -164,12 +169,13 @@ def test_backgrounds_are_learned_where_the_scene_stands_still(tmp_path: Path) ->
     paths = {name: sorted((tmp_path / name).iterdir()) for name in ("bench", "tissue")}
     (tmp_path / "bench" / "broken.png").write_bytes(b"no image")
     paths["bench"].append(tmp_path / "bench" / "broken.png")
-    settings = learned_backgrounds(SegmentSettings(), paths)
+    frames = {name: pictures(of_view) for name, of_view in paths.items()}
+    settings = with_backgrounds(SegmentSettings(), frames)
     assert list(settings.backgrounds) == ["bench"]
     learned, not_learned = settings.notes
     assert learned == "images of bench: a background was learned from 17 of them"
     assert not_learned.startswith("images of tissue: no background was learned: the images do not show the same scene")
-    assert not learned_backgrounds(SegmentSettings("sam2"), paths).backgrounds
+    assert not with_backgrounds(SegmentSettings("sam2"), frames).backgrounds
 
 
 def test_frames_of_one_posture_show_no_background(tmp_path: Path) -> None:
@@ -178,7 +184,7 @@ def test_frames_of_one_posture_show_no_background(tmp_path: Path) -> None:
         image = tmp_path / f"{k}.png"
         write_image(image, each.image)
         frames.append(FrameFiles(f"{k}", None, {"yaw": 0.1 * (k // 4), "insertion": 0.1}, image=image))
-    settings = with_backgrounds(SegmentSettings(), frames)
+    settings = with_backgrounds(SegmentSettings(), {"": frames})
     assert not settings.backgrounds
     assert settings.notes == ("images: no background was learned: 4 images, fewer than 6",)
 
@@ -233,7 +239,7 @@ def test_wrong_background_is_refused() -> None:
 
 def test_real_bench_is_segmented(shared: Path) -> None:
     paths = sorted((shared / "frames" / "bench" / "b" / "images" / "right").iterdir())[1::8]
-    settings = learned_backgrounds(SegmentSettings(), {"right": paths})
+    settings = with_backgrounds(SegmentSettings(), {"right": pictures(paths)})
     for path in paths[1::10]:
         image = read_image(path)
         found = segment(image, background=settings.backgrounds["right"])
