@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -23,14 +23,13 @@ from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.doubts import pose_lost, readings_frozen, readings_missing, readings_too_sparse, reasons
-from dvrk_cmaes.pose.judge import far_joints
 from dvrk_cmaes.pose.terms.tips_term import Expected
 from dvrk_cmaes.results.tracked import TrackResult
-from dvrk_cmaes.track.frame_fits import FittedFrame, PredictedFrame, fit_block
+from dvrk_cmaes.track.frame_fits import PredictedFrame, StoredFit, fit_block
 from dvrk_cmaes.track.image_masks import ColourModel
 from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES, NOTHING, MaskShape, choose_keyframes, well_in_view
 from dvrk_cmaes.track.reading_buffer import frozen_frames, frozen_since
-from dvrk_cmaes.track.window import Judged, Window, WindowImage, judge_frame
+from dvrk_cmaes.track.window import Judged, Window, judge_frame
 
 BLOCK: Final = 10
 """Consecutive frames that are fitted one after the other by one process."""
@@ -168,7 +167,7 @@ class RecordedSolution:
         """The cameras of the calibration."""
         return Rig(self.calibration.corrected_views(self.recorded.rig.views))
 
-    def fits(self, predicted: Prediction) -> list[FittedFrame | None]:
+    def fits(self, predicted: Prediction) -> list[StoredFit | None]:
         """Fit every frame with the prediction as its prior."""
         read = partial(read_seen, rig=self.rig, images=self.colours is not None)
         frames: list[PredictedFrame] = [
@@ -189,32 +188,31 @@ def follow_window(solution: RecordedSolution) -> list[TrackResult]:
     work.progress("fitting", len(recorded.files))
     source = "mask" if solution.colours is None else "image"
     predicted, sparse = predict(recorded, session, names)
-    fits, camera = solution.fits(predicted), recorded.rig.views[0].camera
-    window = Window(session, camera, work.instrument, work.config)
-    images = []
-    for i, fitted in enumerate(fits):
-        own: tuple[Any, ...] = ()
-        if fitted is not None:
-            own = fitted.fit, fitted.stored.own.noises[0].inflation(camera.pixel_scale)
-        holds = fitted is not None and fitted.fit.explains_mask
-        images.append(WindowImage.of(float(recorded.times[i]), predicted, i, *own, holds=holds))
+    fits, window = solution.fits(predicted), Window(session, recorded.rig.views[0].camera, work.instrument, work.config)
+    images = [
+        window.image(float(time), predicted, i, None if one is None else one[1])
+        for i, (time, one) in enumerate(zip(recorded.times, fits, strict=True))
+    ]
     found = window.solve(images)
-    of_fits = zip(fits, found, images, strict=True)
-    shown = [(fitted.stored, own, image.misfit) for fitted, own, image in of_fits if fitted is not None]
+    shown = [
+        (one[0], own, image.misfit, window.doubts(one[1], own, image, source))
+        for one, own, image in zip(fits, found, images, strict=True)
+        if one is not None
+    ]
     of_shown = iter(work.run(partial(judge_frame, window=window, source=source), shown))
     nothing = Judged("lost", reasons(pose_lost(source, None)))
     frozen = frozen_since(recorded.frozen, [own.name for own in recorded.files])
     results = []
-    for i, (fitted, image) in enumerate(zip(fits, images, strict=True)):
-        judged = nothing if fitted is None else next(of_shown)
-        doubts = [*judged.reasons, *(() if fitted is None else fitted.doubts)]
-        if solution.colours is not None:
-            doubts += far_joints(found[i][0], image.at, predicted.spread[i], names)
-        doubts += reasons(
-            readings_missing(bool(predicted.outer_read[i]), still=False, source=source),
-            readings_too_sparse(sparse[i]),
-            readings_frozen(frozen[i]),
-        )
-        seconds = 0.0 if fitted is None else fitted.seconds
+    for i, (one, image) in enumerate(zip(fits, images, strict=True)):
+        judged = nothing if one is None else next(of_shown)
+        doubts = [
+            *judged.reasons,
+            *reasons(
+                readings_missing(bool(predicted.outer_read[i]), still=False, source=source),
+                readings_too_sparse(sparse[i]),
+                readings_frozen(frozen[i]),
+            ),
+        ]
+        seconds = 0.0 if one is None else one[1].seconds
         results.append(window.result(image, found[i], judged, doubts, seconds=seconds, remarks=recorded.rig.remarks))
     return results

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,7 +26,6 @@ from dvrk_cmaes.pose.doubts import (
     readings_missing,
     reasons,
 )
-from dvrk_cmaes.pose.judge import far_joints
 from dvrk_cmaes.pose.terms.tips_term import Expected
 from dvrk_cmaes.results.tracked import TrackResult, without_pose
 from dvrk_cmaes.silhouette import Body
@@ -168,17 +167,14 @@ class Follower:
             seen = seen.without_frozen()
         before, self._deviation = self._deviation, None
         fitted = self._fit(seen, at, spread, before)
-        image = WindowImage.of(time, predicted, 0)
-        if fitted is not None:
-            if fitted.holds:
-                self._deviation = fitted.fit.at.minus(at)
-                self._lengths |= {view.name: px for view, px in zip(fitted.views, fitted.own.lengths, strict=True)}
-            inflation = fitted.own.noises[0].inflation(self._window.camera.pixel_scale)
-            image = WindowImage.of(time, predicted, 0, fitted.fit, inflation, holds=fitted.holds)
+        image = self._window.image(time, predicted, 0, fitted)
+        if fitted is not None and fitted.holds:
+            self._deviation = fitted.fit.at.minus(at)
+            self._lengths |= {view.name: px for view, px in zip(fitted.views, fitted.own.lengths, strict=True)}
         self.masks = {} if fitted is None else fitted.masks
         self._images.append(image)
         (found,) = self._window.solve(list(self._images), only_last=True)
-        judged = self._judged(fitted, found, image.misfit, seen, predicted)
+        judged = self._judged(fitted, found, image, seen)
         if judged.error is not None:
             self._count(judged, image.misfit, reading, in_view=shows_well(self.masks))
         else:
@@ -212,21 +208,14 @@ class Follower:
         expected, masks = Expected.of(at, spread), self.calibration.masks
         return fit_seen(shown, given.body, given.config, expected, before, masks, colours, self._lengths)
 
-    def _judged(
-        self, fitted: MaskedFit | None, found: Found, misfit: float, seen: Seen, predicted: Prediction
-    ) -> Judged:
+    def _judged(self, fitted: MaskedFit | None, found: Found, image: WindowImage, seen: Seen) -> Judged:
         """Judge the pose of an image by how it explains the masks that were given or found."""
         if fitted is None:
             lost = seen.problem is None or (seen.main.mask is not None and not seen.any_same)
             doubts = reasons(pose_lost(seen.source, None)) if seen.problem is None else [seen.problem]
             return Judged("lost" if lost else "doubtful", doubts, None)
-        judged = self._window.judged(fitted.views, found, misfit, self._given.body, seen.source)
-        doubts = fitted.doubts
-        if seen.source == "image":
-            names = self._given.instrument.joint_names
-            doubts = [*doubts, *far_joints(found[0], predicted.at[0], predicted.spread[0], names)]
-        explained = judged.explained and not fitted.doubts
-        return replace(judged, reasons=[*judged.reasons, *doubts], explained=explained)
+        doubts = self._window.doubts(fitted, found, image, seen.source)
+        return self._window.judged(fitted.views, found, image.misfit, doubts, self._given.body, seen.source)
 
 
 def has_moved(before: Posed, now: Posed) -> bool:

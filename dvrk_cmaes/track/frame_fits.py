@@ -22,7 +22,7 @@ from dvrk_cmaes.calibration.frame_fit import (
     OwnEstimate,
     fit_frame,
 )
-from dvrk_cmaes.calibration.session_frame import StoredFrame
+from dvrk_cmaes.calibration.session_frame import StoredView
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
@@ -46,24 +46,12 @@ PredictedFrame = tuple[Callable[[], FrameData | None], Expected]
 
 
 @dataclass(frozen=True, eq=False)
-class FittedFrame:
-    """The fit of a frame, its evidence, and the time that it took, s.
-
-    ``doubts`` are reasons to doubt the masks that were found in its images.
-    """
-
-    stored: StoredFrame
-    fit: FrameFit
-    seconds: float
-    doubts: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
 class MaskedFit:
     """The fit of the views of an image to masks, given or found by colours.
 
     ``masks`` (H, W) are those, by view, ``own`` is what the outlines are measured by. ``unsupported`` is the largest
-    share of a silhouette about which a mask was found that has not the instrument's colours.
+    share of a silhouette about which a mask was found that has not the instrument's colours, ``seconds`` the time that
+    the fit took.
     """
 
     views: tuple[FrameView, ...]
@@ -71,6 +59,7 @@ class MaskedFit:
     own: OwnEstimate
     masks: Mapping[str, Bool]
     unsupported: float = 0.0
+    seconds: float = 0.0
 
     @property
     def doubts(self) -> list[str]:
@@ -81,6 +70,10 @@ class MaskedFit:
     def holds(self) -> bool:
         """Whether the fit explains its masks, and these are not in doubt."""
         return self.fit.explains_mask and not self.doubts
+
+
+StoredFit = tuple[tuple[StoredView, ...], MaskedFit]
+"""The views of a frame, packed for other processes, and their fit, which has none."""
 
 
 def fit_seen(
@@ -202,27 +195,28 @@ def fit_block(
     *,
     masks: SessionMasks | None,
     colours: Mapping[str, ColourModel] | None = None,
-) -> list[FittedFrame | None]:
+) -> list[StoredFit | None]:
     """Fit consecutive frames, each from its prediction and from that changed as the frame before was.
 
     ``masks`` has the margin that is taken off the masks. With ``colours`` of the views, by name, masks are
     found in the images of views that have none. None stands for a frame whose masks or images show nothing of the
     instrument where it is expected.
     """
-    found: list[FittedFrame | None] = []
+    found: list[StoredFit | None] = []
     before: Float64 | None = None
     for read, expected in frames:
         started, data, fitted = time.perf_counter(), read(), None
         if data is not None:
             data = data if colours is None else with_outside(data)
             fitted = fit_seen(data.views, body, config, expected, before, masks, colours)
-        if data is None or fitted is None:
+        before = None
+        if fitted is None:
             found.append(None)
-            before = None
             continue
-        stored = StoredFrame.of_views(fitted.views, data.camera, fitted.own)
-        found.append(FittedFrame(stored, fitted.fit, time.perf_counter() - started, tuple(fitted.doubts)))
-        before = fitted.fit.at.minus(expected.mean) if fitted.holds else None
+        alone = replace(fitted, views=(), masks={}, seconds=time.perf_counter() - started)
+        found.append((tuple(map(StoredView.of, fitted.views)), alone))
+        if fitted.holds:
+            before = fitted.fit.at.minus(expected.mean)
     return found
 
 

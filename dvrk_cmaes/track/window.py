@@ -18,10 +18,9 @@ import numpy as np
 
 from dvrk_cmaes import _kernel
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.prediction import Prediction
 from dvrk_cmaes.calibration.session_doubts import resting_on
-from dvrk_cmaes.calibration.session_frame import StoredFrame
+from dvrk_cmaes.calibration.session_frame import StoredView
 from dvrk_cmaes.calibration.session_masks import covariance_of_margin
 from dvrk_cmaes.calibration.solve import robust_weights
 from dvrk_cmaes.camera import Camera
@@ -31,11 +30,12 @@ from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.doubts import FOLLOWED, pose_lost, reasons
 from dvrk_cmaes.pose.expected_error import covariance_by_camera, expected_error, locate_tips, tip_probability
-from dvrk_cmaes.pose.judge import doubts_in_views, doubts_of_agreement
+from dvrk_cmaes.pose.judge import doubts_in_views, doubts_of_agreement, far_joints
 from dvrk_cmaes.pose.views import FrameView, measure_overlap, pooled_quality
 from dvrk_cmaes.results.result import ExpectedError
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.frame_fits import MaskedFit
 
 Found = tuple[Posed, Float64, Float64]
 """Pose and joints, their covariance (D, D) given the camera, and that by the camera's errors."""
@@ -147,36 +147,6 @@ class WindowImage:
     by_margin: Float64
     misfit: float
 
-    @classmethod
-    def of(
-        cls,
-        time: float,
-        predicted: Prediction,
-        k: int,
-        fit: FrameFit | None = None,
-        inflation: float = 1.0,
-        *,
-        holds: bool = True,
-    ) -> WindowImage:
-        """Weigh a fit by how it agrees with the prediction.
-
-        ``inflation`` is the factor by which the contour's roughness widens the covariance of the fit; one that does not
-        hold states nothing.
-        """
-        spread = predicted.spread[k]
-        size = len(spread)
-        nothing = np.zeros(size)
-        if fit is None:
-            return cls(time, predicted, k, np.zeros((size, size)), nothing, nothing, 0.0)
-        deviation = fit.at.minus(predicted.at[k])
-        own = np.linalg.pinv(fit.information, rcond=1e-9, hermitian=True)
-        least = deviation - own @ fit.slope
-        misfit = float(least @ np.linalg.solve(spread + own, least)) / size
-        weight = float(robust_weights(np.array([misfit * size]), size)[0]) if holds else 0.0
-        weight /= inflation * _CORRELATED_FRAMES
-        optimum = weight * (fit.information @ deviation - fit.slope)
-        return cls(time, predicted, k, weight * fit.information, optimum, weight * fit.by_margin, misfit)
-
     @property
     def at(self) -> Posed:
         """Where the calibration expects the instrument."""
@@ -207,6 +177,26 @@ class Window:
     instrument: Instrument
     config: EstimateConfig
 
+    def image(self, time: float, predicted: Prediction, k: int, fitted: MaskedFit | None) -> WindowImage:
+        """Return the ``k``-th of some images with what its fit states, weighed by how it agrees with the prediction.
+
+        The contour's roughness widens the covariance of the fit; one that does not hold states nothing.
+        """
+        spread = predicted.spread[k]
+        size = len(spread)
+        nothing = np.zeros(size)
+        if fitted is None:
+            return WindowImage(time, predicted, k, np.zeros((size, size)), nothing, nothing, 0.0)
+        fit, inflation = fitted.fit, fitted.own.noises[0].inflation(self.camera.pixel_scale)
+        deviation = fit.at.minus(predicted.at[k])
+        own = np.linalg.pinv(fit.information, rcond=1e-9, hermitian=True)
+        least = deviation - own @ fit.slope
+        misfit = float(least @ np.linalg.solve(spread + own, least)) / size
+        weight = float(robust_weights(np.array([misfit * size]), size)[0]) if fitted.holds else 0.0
+        weight /= inflation * _CORRELATED_FRAMES
+        optimum = weight * (fit.information @ deviation - fit.slope)
+        return WindowImage(time, predicted, k, weight * fit.information, optimum, weight * fit.by_margin, misfit)
+
     def solve(self, images: Sequence[WindowImage], *, only_last: bool = False) -> list[Found]:
         """Find the poses and joints of N images by what all of them state.
 
@@ -233,12 +223,26 @@ class Window:
             found.append((at, covariance, of_camera))
         return found
 
+    def doubts(self, fitted: MaskedFit, found: Found, image: WindowImage, source: str) -> list[str]:
+        """Return the reasons to doubt the masks that were found in an image."""
+        if source == "mask":
+            return fitted.doubts
+        names, spread = self.instrument.joint_names, image.predicted.spread[image.k]
+        return [*fitted.doubts, *far_joints(found[0], image.at, spread, names)]
+
     def judged(
-        self, views: Sequence[FrameView], found: Found, misfit: float, body: Body, source: str = "mask"
+        self,
+        views: Sequence[FrameView],
+        found: Found,
+        misfit: float,
+        of_masks: Sequence[str],
+        body: Body,
+        source: str,
     ) -> Judged:
         """Judge an image by how its pose explains the masks of views; ``source`` names the evidence.
 
-        ``misfit`` is the squared misfit per parameter of its fit and the prediction.
+        ``misfit`` is the squared misfit per parameter of its fit and the prediction, ``of_masks`` are reasons to doubt
+        the masks.
         """
         at, covariance, of_camera = found
         qualities = [measure_overlap(view, at) for view in views]
@@ -246,12 +250,13 @@ class Window:
         shown, _ = doubts_in_views(at, views, qualities, error, self.config.trust, "followed")
         quality = pooled_quality(qualities)
         residual_px, least_iou = NORMAL_MEDIAN * quality.contour_px_median, self.calibration.iou - FOLLOWED.overlap_loss
-        explained = quality.iou >= least_iou
+        explained = quality.iou >= least_iou and not of_masks
         no_support = pose_lost(source, quality.iou)
         if no_support is not None:
-            return Judged("lost", reasons(no_support), error, residual_px, explained)
+            return Judged("lost", [*reasons(no_support), *of_masks], error, residual_px, explained)
         usual, scale = (self.calibration.iou, self.calibration.contour_px_95), self.camera.pixel_scale
         doubts = [*shown, *doubts_of_agreement("followed", misfit, self.config.session, quality, usual, scale)]
+        doubts += of_masks
         return Judged("doubtful" if doubts else "ok", doubts, error, residual_px, explained)
 
     def result(
@@ -293,8 +298,13 @@ class Window:
 
 
 def judge_frame(
-    body: Body, config: EstimateConfig, task: tuple[StoredFrame, Found, float], *, window: Window, source: str
+    body: Body,
+    config: EstimateConfig,
+    task: tuple[Sequence[StoredView], Found, float, Sequence[str]],
+    *,
+    window: Window,
+    source: str,
 ) -> Judged:
-    """Judge a frame, given its evidence, its pose, and its misfit, as `Window.judged` does."""
-    stored, found, misfit = task
-    return window.judged([view.restored(body) for view in stored.views], found, misfit, body, source)
+    """Judge a frame, given its views, its pose, its misfit and reasons to doubt its masks, as `Window.judged` does."""
+    views, found, misfit, of_masks = task
+    return window.judged([view.restored(body) for view in views], found, misfit, of_masks, body, source)
