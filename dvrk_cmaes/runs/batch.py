@@ -19,6 +19,7 @@ from dvrk_cmaes.export.pose_texts import table_text
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.io.json_file import write_json, write_text
 from dvrk_cmaes.io.output import Output, output
+from dvrk_cmaes.io.short_text import in_order
 from dvrk_cmaes.joints.prior import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.results.folder import SUMMARY, ResultsFolder, check_output, read_results
@@ -47,7 +48,6 @@ from dvrk_cmaes.runs.manifest import (
     manifest_of,
     read_manifest,
     results_of,
-    with_frames,
 )
 from dvrk_cmaes.runs.pool import WorkerDied, pool_of, usable_cores
 from dvrk_cmaes.runs.pool import Workers as Executors
@@ -212,7 +212,7 @@ def _prepare(
         if kept:
             check_same_settings(folder, old, manifest)
             check_same_frames(folder, old, digests, done=kept)
-        manifest = with_frames({**manifest, "frames": old["frames"]}, digests)
+        manifest["frames"] = in_order({**old["frames"], **digests})
     todo = [files for files in frames if files.name not in kept]
     own.refuse(results_of([files.name for files in todo], arm.session.rig.names))
     own.describe(manifest)

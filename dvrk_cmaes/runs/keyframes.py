@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from dvrk_cmaes.calibration.session_doubts import bad_predictions
 from dvrk_cmaes.calibration.session_frame import SessionFrame
 from dvrk_cmaes.calibration.session_loop import predict_from_first
 from dvrk_cmaes.calibration.session_problem import ArmSetup
-from dvrk_cmaes.calibration.together import Begun, Outcome
+from dvrk_cmaes.calibration.together import Begun
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -48,6 +48,7 @@ _FEWEST: Final = 6  # keyframes whose masks were found, with which a recording i
 _NO_COLOURS: Final = "no image shows enough of the instrument where it is expected"
 _SEARCHED: Final = 16  # keyframes that are searched for; the others start from where these expect them
 _FOUND_KEYFRAMES: Final = 40  # keyframes, at most, whose masks were found
+T = TypeVar("T")
 Reader = Callable[[], FrameData]
 """A picklable function that reads a frame's data."""
 
@@ -91,18 +92,20 @@ def _begin_chosen(
     work.progress("estimating keyframes", len(keyframes))
     work = replace(work, series=recorded.series)
     frames = _estimated(recorded, keyframes, work)
+    begun = _tried(lambda: begin_arm(frames, work))
+    if isinstance(begun, str):
+        return Begun.of(begun)
+    return Begun(lambda outcome: _tried(lambda: _in_digits(begun.finish(outcome)[0].calibration)), begun.arm)
+
+
+def _tried(solve: Callable[[], T]) -> T | str:
+    """Solve a session, or return why it cannot be; an error of a file that is missing or damaged is raised."""
     try:
-        begun = begin_arm(frames, work).then(lambda found: _in_digits(found[0].calibration))
+        return solve()
     except InputError as error:
-        return Begun.of(_refusal(error))
-
-    def finished(outcome: Outcome | None) -> SessionCalibration | str:
-        try:
-            return begun.finish(outcome)
-        except InputError as error:
-            return _refusal(error)
-
-    return Begun(finished, begun.arm)
+        if not str(error).startswith(_REFUSED):
+            raise
+        return str(error).removeprefix(_REFUSED)
 
 
 def _estimated(recorded: RecordedFrames, keyframes: Mapping[int, Reader], work: ArmSetup) -> list[SessionFrame]:
@@ -137,13 +140,6 @@ def _estimated(recorded: RecordedFrames, keyframes: Mapping[int, Reader], work: 
 def _in_digits(calibration: SessionCalibration) -> SessionCalibration | str:
     """Return a calibration in the digits of session.json, by which a recording can be followed again, or its fault."""
     return bad_predictions(calibration) or SessionCalibration.from_dict(calibration.to_dict())
-
-
-def _refusal(error: InputError) -> str:
-    """Return why a session cannot be solved; an error of a file that is missing or damaged is raised."""
-    if not str(error).startswith(_REFUSED):
-        raise error
-    return str(error).removeprefix(_REFUSED)
 
 
 def segment_task(

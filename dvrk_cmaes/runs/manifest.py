@@ -27,7 +27,7 @@ from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.frames.frame import FrameFiles, readable
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.io.json_file import json_text, read_json_object, write_json
-from dvrk_cmaes.io.short_text import listed, natural
+from dvrk_cmaes.io.short_text import in_order, listed, natural
 from dvrk_cmaes.io.typed_document import convert_document
 from dvrk_cmaes.results.folder import (
     MANIFEST,
@@ -137,7 +137,7 @@ def manifest_of(arm: ArmInSession, frames: FrameParts) -> Manifest:
         "calibration": None if method.session is None else digest_of(json_text(method.session.to_dict())),
         "session": os.path.abspath(arm.session.folder),
         "warnings": list(arm.session.warnings),
-        "frames": _sorted(frames),
+        "frames": in_order(frames),
     }
 
 
@@ -217,16 +217,6 @@ def _changed(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[tu
     for key in dict.fromkeys((*after, *before)):
         if before.get(key) != after.get(key):
             yield key, (before.get(key, "not there"), after.get(key, "not there"))
-
-
-def with_frames(manifest: Manifest, more: FrameParts) -> Manifest:
-    """Add frames to a manifest; stamps in ``more`` replace older ones."""
-    return {**manifest, "frames": _sorted({**manifest["frames"], **more})}
-
-
-def _sorted(frames: FrameParts) -> FrameParts:
-    """Sort frames by name."""
-    return {name: frames[name] for name in sorted(frames, key=natural)}
 
 
 def _leaves(tree: Mapping[str, Any], table: str = "") -> Iterator[tuple[str, Any]]:

@@ -179,19 +179,17 @@ class TrackedArm:
         own.describe(self._manifest())
         if self.rows:
             write_text(self.out / TRACKS, "".join(line_of(row) for row in self.rows))
-        calibration = self.calibration
-        lag = None if calibration is None else calibration.applied_lag
-        late = (self.settings.lag or 0.0) if lag is None else lag.in_seconds(1 / self.clock.interval)
-        if calibration is not None:
-            new = tuple(text for text in self._remarks if text not in calibration.remarks)
-            self.calibration = calibration = replace(calibration, remarks=(*calibration.remarks, *new))
-        if calibration is not None and self.rows:
-            write_json(self.out / SESSION, calibration.to_dict())
+        known, late = self.calibration, self.settings.lag or 0.0
+        if known is not None:
+            remarks = tuple(dict.fromkeys((*known.remarks, *self._remarks)))
+            self.calibration = known = replace(known, remarks=remarks)
+            late = late if known.applied_lag is None else known.applied_lag.in_seconds(1 / self.clock.interval)
+            if self.rows:
+                write_json(self.out / SESSION, known.to_dict())
         self.readings = self.clock.readings_at(np.array(self.clock.times(self.frames)) - late)
         if not self.interrupted:
             write_table(self.out / TABLE, self.rows, self.body.instrument.joint_names)
-            if self.rows:
-                write_outputs(self)
+            write_outputs(self)
         own.remove_stale()
         return self
 
