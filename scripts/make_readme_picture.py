@@ -43,7 +43,7 @@ LOOKAT = 8  # candidates that are shown, of those drawn in the LookAt space
 COLOURS = ((38, 38, 44), (214, 214, 214), (230, 120, 60), (70, 140, 230))  # of none, both, mask alone, silhouette alone
 
 FOLLOWED_WIDTH = 960  # px
-FOLLOWED_QUALITY = 4  # of the WebP, 0 to 100
+FOLLOWED_QUALITY = 20  # of the WebP, 0 to 100
 
 
 def main() -> None:
@@ -59,7 +59,7 @@ def main() -> None:
         small = cv2.resize(drawn, size, interpolation=cv2.INTER_AREA)
         jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
         write_bytes(docs / "overlay.jpg", jpeg.tobytes())
-        shown = moving_picture(out / "hidden", width=FOLLOWED_WIDTH, milliseconds=100, quality=FOLLOWED_QUALITY)
+        shown = moving_picture(out / "hidden", width=FOLLOWED_WIDTH, milliseconds=150, quality=FOLLOWED_QUALITY)
         write_bytes(docs / FOLLOWED, shown)
 
 

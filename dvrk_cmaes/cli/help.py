@@ -70,7 +70,7 @@ def _lines_with(text: str, pages: Mapping[str, Path]) -> list[Line]:
     """Give the lines of pages that have all words of a text, in any case and order; InputError if none has."""
     words = text.casefold().split()
     found = [
-        Line(f"{topic}: {line.strip()}")
+        Line(f"{topic}: {_RELATIVE_LINK.sub(lambda link: link[1], line).strip(' |')}")
         for topic, path in pages.items()
         for line in _read(path).splitlines()
         if all(word in line.casefold() for word in words)

@@ -179,7 +179,9 @@ def _printed(command: str) -> str:
 
 
 def moving_picture(tracks: Path, *, width: int, milliseconds: int, quality: int) -> bytes:
-    """Encode tracks.mp4 of a folder that `track` wrote as an animated WebP that repeats.
+    """Encode tracks.mp4 of a folder that `track` wrote, without its first image, as an animated WebP that repeats.
+
+    Once the lag is taken out, no reading is as old as the first image, which is doubtful.
 
     Parameters
     ----------
@@ -201,7 +203,7 @@ def moving_picture(tracks: Path, *, width: int, milliseconds: int, quality: int)
         size = (width, round(image.shape[0] * width / image.shape[1]))
         images.append(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
     animation = cv2.Animation()
-    animation.frames, animation.durations, animation.loop_count = images, [milliseconds] * len(images), 0
+    animation.frames, animation.durations, animation.loop_count = images[1:], [milliseconds] * len(images[1:]), 0
     written, data = cv2.imencodeanimation(".webp", animation, [cv2.IMWRITE_WEBP_QUALITY, quality])
     assert written
     return bytes(data.tobytes())
