@@ -14,8 +14,7 @@ import numpy as np
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.compared_set import ComparedFrame, ComparedSet
-from dvrk_cmaes.evaluate.pose_error import PoseError, pose_error
-from dvrk_cmaes.geometry import Float64, apply
+from dvrk_cmaes.evaluate.pose_error import PoseError, pose_error, tips_in_camera
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.csv_file import Table, fixed
 from dvrk_cmaes.io.encode import encoded, encoded_fields, rounded
@@ -225,19 +224,12 @@ def compare_frames(frame: ComparedFrame, base: ComparedFrame, instrument: Instru
     """Return the difference of a frame's pose from the reference's; None if one of them has no pose."""
     if frame.camera_from_root is None or base.camera_from_root is None:
         return None
-    tips, expected = _tips(frame, instrument), _tips(base, instrument)
-    return pose_error(frame.camera_from_root, base.camera_from_root, frame.joints, base.joints, tips, expected)
-
-
-def _tips(frame: ComparedFrame, instrument: Instrument) -> Float64 | None:
-    """Return the tips (K, 3) of a frame with a pose, as stated or else as the instrument has them; None if unknown."""
-    if frame.tips is not None:
-        return frame.tips
-    if frame.camera_from_root is None or any(name not in frame.joints for name in instrument.joint_names):
-        return None
-    return np.asarray(
-        apply(frame.camera_from_root, instrument.ends([frame.joints[name] for name in instrument.joint_names]))
+    tips, expected = (
+        tips_in_camera(instrument, one.camera_from_root, one.joints) if one.tips is None else one.tips
+        for one in (frame, base)
+        if one.camera_from_root is not None
     )
+    return pose_error(frame.camera_from_root, base.camera_from_root, frame.joints, base.joints, tips, expected)
 
 
 def count_statuses(compared: ComparedSet) -> dict[str, int]:

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dvrk_cmaes.evaluate.pose_error import Measured, PoseError, Tolerance, compare_poses
+from dvrk_cmaes.evaluate.pose_error import Measured, PoseError, Tolerance, compare_poses, tips_in_camera
 from dvrk_cmaes.frames.truth import FrameTruth
-from dvrk_cmaes.geometry import Float64, apply
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.results.result import Result
 
@@ -109,9 +109,8 @@ def _rows(instrument: Instrument, pose_found: Pose, expected: Pose, tolerance: T
 def _values(instrument: Instrument, pose: Float64, joints: Mapping[str, float]) -> dict[str, Sequence[float]]:
     """Return the values of a pose by quantity: positions in the camera, mm, direction of the shaft, joints, deg."""
     values: dict[str, Sequence[float]] = {"root": (1e3 * pose[:3, 3]).tolist(), "shaft": pose[:3, 2].tolist()}
-    if all(name in joints for name in instrument.joint_names):
-        tips = instrument.ends([joints[name] for name in instrument.joint_names])
-        values["tip"] = (1e3 * apply(pose, tips).mean(axis=0)).tolist()
+    if (tips := tips_in_camera(instrument, pose, joints)) is not None:
+        values["tip"] = (1e3 * tips.mean(axis=0)).tolist()
     own = [name for name in instrument.joint_names if name in joints]
     return values | {name: (float(np.degrees(joints[name])),) for name in own}
 

@@ -119,13 +119,16 @@ def compare_poses(
 ) -> PoseError:
     """Compare a pose and its joints with the true ones: each is camera_from_root (4, 4) and joints by name, rad."""
     (pose, joints), (true_pose, true_joints) = estimate, truth
-    names = instrument.joint_names
-    tips: tuple[Float64, Float64] | tuple[None, None] = None, None
-    if all(name in true_joints for name in names):
-        first, second = (apply(t, instrument.ends([q[name] for name in names])) for t, q in (estimate, truth))
-        tips = first, second
-    own = {name: joints[name] for name in names if name in true_joints}
-    return pose_error(pose, true_pose, own, true_joints, *tips)
+    own = {name: joints[name] for name in instrument.joint_names if name in true_joints}
+    tips, true_tips = tips_in_camera(instrument, *estimate), tips_in_camera(instrument, *truth)
+    return pose_error(pose, true_pose, own, true_joints, tips, true_tips)
+
+
+def tips_in_camera(instrument: Instrument, pose: Float64, joints: Mapping[str, float]) -> Float64 | None:
+    """Return the tips (K, 3) of an instrument at a pose (4, 4), m in the camera; None without all of its joints."""
+    if any(name not in joints for name in instrument.joint_names):
+        return None
+    return np.asarray(apply(pose, instrument.ends([joints[name] for name in instrument.joint_names])))
 
 
 def pose_error(
