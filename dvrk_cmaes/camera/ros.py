@@ -35,20 +35,28 @@ def camera_info_text(
     Of a right eye, ``baseline``, m, is that of the projection matrix, and ``right_from_left`` (4, 4), m, its pose,
     which counts where it is given.
     """
-    K = camera.matrix
-    document = {
-        "image_width": camera.width,
-        "image_height": camera.height,
-        "camera_name": name,
-        "camera_matrix": _matrix(K),
-        "distortion_model": camera.model,
-        "distortion_coefficients": _matrix(np.array([camera.distortion or (0.0,) * 5])),
-        "rectification_matrix": _matrix(np.eye(3)),
-        "projection_matrix": _matrix(np.c_[K, [-camera.fx * baseline, 0.0, 0.0]]),
-    }
+    K, D = camera.matrix, np.array([camera.distortion or (0.0,) * 5])
+    P = np.c_[K, [-camera.fx * baseline, 0.0, 0.0]]
+    document = camera_info((camera.width, camera.height), name, camera.model, K, D, np.eye(3), P)
     if right_from_left is not None:
         document["right_from_left"] = right_from_left.tolist()
     return yaml_text(document)
+
+
+def camera_info(
+    size: tuple[int, int], name: str, model: str, K: Float64, D: Float64, R: Float64, P: Float64
+) -> dict[str, Any]:
+    """Return the document of a camera_info file of a size, width and height; K, R (3, 3), D (1, N), P (3, 4)."""
+    return {
+        "image_width": size[0],
+        "image_height": size[1],
+        "camera_name": name,
+        "camera_matrix": _matrix(K),
+        "distortion_model": model,
+        "distortion_coefficients": _matrix(D),
+        "rectification_matrix": _matrix(R),
+        "projection_matrix": _matrix(P),
+    }
 
 
 def _matrix(values: Float64) -> dict[str, Any]:

@@ -89,11 +89,8 @@ def seen_views(
     rig = Rig.of(camera)
     if isinstance(camera, Camera) and any(isinstance(each, Mapping) for each in (mask, ignore, keypoints)):
         raise InputError("mask: expected a rig of cameras with masks by view, got one camera")
-    masks, ignored, tips = (
-        _by_view("mask", mask, rig),
-        _by_view("ignore", ignore, rig),
-        _by_view("keypoints", keypoints, rig),
-    )
+    given = {"mask": mask, "ignore": ignore, "keypoints": keypoints}
+    masks, ignored, tips = (_by_view(name, value, rig) for name, value in given.items())
     if not masks:
         kind = "an array (H, W) of bool" if isinstance(camera, Camera) else f"one of a view ({', '.join(rig.names)})"
         raise InputError(f"mask: expected {kind}, got none (of a file that cv2.imread did not find?)")

@@ -19,7 +19,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.document import read_fields
 from dvrk_cmaes.camera.fields import Side, as_number, take_length
 from dvrk_cmaes.camera.files import read_camera_file
-from dvrk_cmaes.camera.ros import camera_info_text
+from dvrk_cmaes.camera.ros import camera_info, camera_info_text
 from dvrk_cmaes.camera.stereo import pose_of_storage
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.files import read_bytes, read_text
@@ -59,23 +59,13 @@ def camera_file(message: Any, name: str, where: str) -> bytes:
         return [float(v) for v in (getattr(message, letter.lower()) if values is None else values)]
 
     region = {key: int(getattr(message.roi, key)) for key in ("x_offset", "y_offset", "height", "width")}
-    fields: dict[str, Any] = {letter: numbers(letter) for letter in "KDRP"}
-    size = {"width": int(message.width), "height": int(message.height)}
-    model = str(message.distortion_model)
-    read_fields(where, {**size, **fields, "distortion_model": model, "roi": region}, rectified=False, side="left")
-    matrices = (
-        ("distortion_coefficients", "D", 1, len(fields["D"])),
-        ("camera_matrix", "K", 3, 3),
-        ("rectification_matrix", "R", 3, 3),
-        ("projection_matrix", "P", 3, 4),
-    )
-    document: dict[str, Any] = {
-        "image_width": size["width"],
-        "image_height": size["height"],
-        "camera_name": name,
-        "distortion_model": model,
-        **{name: {"rows": rows, "cols": cols, "data": fields[letter]} for name, letter, rows, cols in matrices},
-    }
+    fields = {letter: numbers(letter) for letter in "KDRP"}
+    width, height, model = int(message.width), int(message.height), str(message.distortion_model)
+    stated = {"width": width, "height": height, "distortion_model": model, "roi": region}
+    read_fields(where, {**stated, **fields}, rectified=False, side="left")
+    shapes = {"K": (3, 3), "D": (1, -1), "R": (3, 3), "P": (3, 4)}
+    matrices = (np.array(fields[letter]).reshape(shape) for letter, shape in shapes.items())
+    document = camera_info((width, height), name, model, *matrices)
     if any(region.values()):
         document["roi"] = region
     return yaml_text(document).encode()
