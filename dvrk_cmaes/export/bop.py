@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 from dvrk_cmaes.export.pose_texts import table_text
 from dvrk_cmaes.export.request import Exported, ExportRequest
-from dvrk_cmaes.results.result import Result
 
 RESULTS = "dvrk-cmaes_dvrk-test.csv"
 """File name; BOP's tools parse method, data set and split from it."""
@@ -19,11 +18,12 @@ IM_IDS = "im_ids.csv"
 """Name of the file that maps ``im_id`` to frames."""
 
 
-def bop_files(results: Sequence[Result], *, scene: int = 0, obj: int = 1) -> dict[str, str]:
-    """Return the texts of the results file and, if needed, of ``im_ids.csv``, by file name.
+def exported(request: ExportRequest) -> Exported:
+    """Export the poses of frames, and the numbers of frames if they are needed; InputError if there are no frames.
 
     Frames without a pose have no line. The score is the overlap (IoU), or 1 for a result without one; the time is in s.
     """
+    results = request.source.poses()
     frames = [result.frame for result in results]
     numbered = _numbered(frames)
     numbers = {frame: int(frame) if numbered else row for row, frame in enumerate(frames)}
@@ -35,12 +35,13 @@ def bop_files(results: Sequence[Result], *, scene: int = 0, obj: int = 1) -> dic
         translation = " ".join(map(repr, (1e3 * result.camera_from_root[:3, 3]).tolist()))
         score = 1.0 if result.quality is None else result.quality.iou
         lines.append(
-            f"{scene},{numbers[result.frame]},{obj},{score!r},{rotation},{translation},{result.seconds or -1.0!r}"
+            f"{request.scene},{numbers[result.frame]},{request.obj},{score!r},{rotation},{translation},"
+            f"{result.seconds or -1.0!r}"
         )
     files = {RESULTS: "\n".join(lines) + "\n"}
     if not numbered:
         files[IM_IDS] = table_text([{"im_id": number, "frame": frame} for frame, number in numbers.items()])
-    return files
+    return Exported.of_texts(files, left_out=request.source.without_pose)
 
 
 def _numbered(frames: Sequence[str]) -> bool:
@@ -48,9 +49,3 @@ def _numbered(frames: Sequence[str]) -> bool:
     if not all(frame.isascii() and frame.isdigit() and len(frame) <= 9 for frame in frames):
         return False
     return len({int(frame) for frame in frames}) == len(frames)
-
-
-def exported(request: ExportRequest) -> Exported:
-    """Export the poses of frames; InputError if there are no frames."""
-    texts = bop_files(request.source.poses(), scene=request.scene, obj=request.obj)
-    return Exported.of_texts(texts, left_out=request.source.without_pose)

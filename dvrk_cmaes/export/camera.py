@@ -26,25 +26,27 @@ class _SessionOfCamera(Struct):
     views: tuple[ViewDocument, ...] = ()
 
 
-def camera_files(where: str, document: dict[str, Any]) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Return the camera files of a session calibration's document, by name, and notes on what is left out.
+def exported(request: ExportRequest) -> Exported:
+    """Export the cameras of a session calibration.
 
     Lengths are in metres, images raw.
 
     Raises
     ------
     InputError
-        The calibration does not state its cameras, or a field is wrong.
+        There is no calibration, or it does not state its cameras, or a field is wrong.
     """
+    where, document = request.source.calibration()
     views = [each.restored() for each in convert_document(where, document, _SessionOfCamera).views]
     if not views:
         raise InputError(f"{where}: views: expected the cameras that were used, got none: calibrate the session again")
     names = [view.name for view in views] if len(views) > 1 else [_ALONE]
     files = {f"ros/{name}.yaml": view_info_text(view, name) for name, view in zip(names, views, strict=True)}
     files[f"opencv/{'stereo' if len(views) > 1 else _ALONE}.xml"] = _storage(views)
-    if any(view.camera.model == "equidistant" for view in views):
-        return files, ("plain YAML has no fisheye lenses: left out",)
-    return files | {f"plain/{name}.yaml": _plain(view) for name, view in zip(names, views, strict=True)}, ()
+    notes: tuple[str, ...] = ("plain YAML has no fisheye lenses: left out",)
+    if all(view.camera.model != "equidistant" for view in views):
+        notes, files = (), files | {f"plain/{name}.yaml": _plain(view) for name, view in zip(names, views, strict=True)}
+    return Exported({name: text.encode() for name, text in files.items()}, notes=notes)
 
 
 def _is_first(view: View) -> bool:
@@ -76,9 +78,3 @@ def _storage(views: Sequence[View]) -> str:
         storage.write("R", np.ascontiguousarray(view.view_from_camera[:3, :3]))
         storage.write("T", np.ascontiguousarray(view.view_from_camera[:3, 3:]))
     return storage.releaseAndGetString()
-
-
-def exported(request: ExportRequest) -> Exported:
-    """Export the cameras of a session calibration; InputError if there is none."""
-    files, notes = camera_files(*request.source.calibration())
-    return Exported({name: text.encode() for name, text in files.items()}, notes=notes)

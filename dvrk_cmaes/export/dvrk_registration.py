@@ -15,12 +15,10 @@ All transforms are in m.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
 
-from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.request import DvrkVersion, Exported, ExportRequest
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.setup_joints import SETUP, setup_text
@@ -37,61 +35,29 @@ _KEYS: Final[dict[DvrkVersion, tuple[str, str]]] = {
 _OPEN_CV_KEYS: Final = _KEYS["2.3"]  # those that dvrk_camera_registration reads with every version of the dVRK
 
 
-def registration_files(
-    camera_from_base: Float64,
-    names: FrameNames,
-    *,
-    version: DvrkVersion = "2.4",
-    ecm_pose: Float64 | None = None,
-    ecm_from_base: Float64 | None = None,
-    others: Mapping[str, Float64] | None = None,
-) -> dict[str, str]:
-    """Return the texts of both files by file name.
+def exported(request: ExportRequest) -> Exported:
+    """Export ``camera_from_base``; InputError if the source has none.
 
-    Parameters
-    ----------
-    camera_from_base : (4, 4)
-        The pose of the arm's base in the camera, in OpenCV's axes.
-    names
-        Names of the arm and of the camera's frame.
-    version
-        Version of the dVRK that reads the entry; suj-fixed.json is the same in both.
-    ecm_pose : (4, 4)
-        ``local/measured_cp`` of the ECM that holds the camera, while the frames were recorded; None without an ECM.
-    ecm_from_base : (4, 4)
-        The arm's base in that of the ECM, if a session with an endoscope that moved determines it.
-    others
-        The same (4, 4) of the session's other arms, by name.
+    The arm's base in that of the endoscope's arm follows from that arm's pose, if it is given, or else from a session
+    with an endoscope that moved, if that determines it, as of the session's other arms.
     """
+    base, names = request.source.base(), request.names
     stated = "OpenCV: camera_from_base, m; camera x right, y down, z forward"
-    open_cv = {**_entry(camera_from_base, names.camera, _OPEN_CV_KEYS), "convention": stated}
+    open_cv = {**_entry(base.camera_from_base, names.camera, _OPEN_CV_KEYS), "convention": stated}
     files = {f"{names.arm}-registration-open-cv.json": json_text(open_cv)}
-    in_dvrk_axes = DVRK_FROM_OPEN_CV @ camera_from_base
-    if ecm_pose is not None:
-        ecm_from_base, others = ecm_pose @ in_dvrk_axes, None
+    in_dvrk_axes = DVRK_FROM_OPEN_CV @ base.camera_from_base
+    ecm_from_base, others = base.ecm_from_base, base.others
+    if request.ecm_pose is not None:
+        ecm_from_base, others = request.ecm_pose @ in_dvrk_axes, {}
     if ecm_from_base is None:
-        files[f"{names.arm}-registration-dVRK.json"] = json_text(_entry(in_dvrk_axes, names.camera, _KEYS[version]))
+        entry = _entry(in_dvrk_axes, names.camera, _KEYS[request.dvrk_version])
+        files[f"{names.arm}-registration-dVRK.json"] = json_text(entry)
     else:
-        poses = {"ECM": np.eye(4), names.arm: ecm_from_base, **(others or {})}
-        files[SETUP] = setup_text(poses)
-    return files
+        files[SETUP] = setup_text({"ECM": np.eye(4), names.arm: ecm_from_base, **others})
+    return Exported.of_texts(files, base=base)
 
 
 def _entry(transform: Float64, camera: str, keys: tuple[str, str]) -> dict[str, Any]:
     """Return the entry of an arm's base frame."""
     base_frame, reference_frame = keys
     return {base_frame: {reference_frame: camera, "transform": (transform + 0.0).tolist()}}  # 0.0 for -0.0
-
-
-def exported(request: ExportRequest) -> Exported:
-    """Export ``camera_from_base``; InputError if the source has none."""
-    base = request.source.base()
-    texts = registration_files(
-        base.camera_from_base,
-        request.names,
-        version=request.dvrk_version,
-        ecm_pose=request.ecm_pose,
-        ecm_from_base=base.ecm_from_base,
-        others=base.others,
-    )
-    return Exported.of_texts(texts, base=base)

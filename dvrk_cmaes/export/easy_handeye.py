@@ -12,19 +12,19 @@ from typing import Any
 
 import yaml
 
-from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.request import Exported, ExportRequest
-from dvrk_cmaes.geometry import Float64, inverse, quaternion_xyzw
+from dvrk_cmaes.geometry import inverse, quaternion_xyzw
 
 
-def calibration_file(camera_from_base: Float64, names: FrameNames) -> dict[str, str]:
-    """Return the texts of the files by file name.
+def exported(request: ExportRequest) -> Exported:
+    """Export ``camera_from_base``; InputError if the source has none.
 
     easy_handeye2 reads its own from ``~/.ros2/easy_handeye2/calibrations``, easy_handeye from ``~/.ros/easy_handeye``.
     """
+    base, names = request.source.base(), request.names
     names.check_tf()
     name = f"{names.arm}_camera"
-    base_from_camera = inverse(camera_from_base)
+    base_from_camera = inverse(base.camera_from_base)
     translation = base_from_camera[:3, 3].tolist()
     document: dict[str, dict[str, Any]] = {
         "parameters": {
@@ -50,10 +50,5 @@ def calibration_file(camera_from_base: Float64, names: FrameNames) -> dict[str, 
         "transformation": {**transform["translation"], **{f"q{k}": v for k, v in transform["rotation"].items()}},
     }
     files = {f"{name}.calib": document, f"{name}_eye_on_base.yaml": ros1}
-    return {file: yaml.safe_dump(own, sort_keys=False, allow_unicode=True) for file, own in files.items()}
-
-
-def exported(request: ExportRequest) -> Exported:
-    """Export ``camera_from_base``; InputError if the source has none."""
-    base = request.source.base()
-    return Exported.of_texts(calibration_file(base.camera_from_base, request.names), base=base)
+    texts = {file: yaml.safe_dump(own, sort_keys=False, allow_unicode=True) for file, own in files.items()}
+    return Exported.of_texts(texts, base=base)
