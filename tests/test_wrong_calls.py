@@ -10,7 +10,18 @@ import numpy as np
 import pytest
 
 import dvrk_cmaes
-from dvrk_cmaes import Camera, InputError, Renderer, Result, Tracker, estimate, estimate_tools, load_instrument, prepare
+from dvrk_cmaes import (
+    Camera,
+    InputError,
+    Renderer,
+    Result,
+    SessionCalibration,
+    Tracker,
+    estimate,
+    estimate_tools,
+    load_instrument,
+    prepare,
+)
 
 CAMERA = Camera(320, 240, 521.3, 521.3, 163.0, 117.5)
 MASK = np.zeros((240, 320), np.bool_)
@@ -136,8 +147,13 @@ def test_result_is_printed_on_one_line_without_its_settings() -> None:
     assert repr(result) == f"{expected}['mode is in doubt'])"
 
 
-def test_instrument_and_body_are_printed_by_name() -> None:
+def test_instrument_renderer_tracker_and_calibration_are_printed_in_one_line() -> None:
     body = prepare("lnd")
     assert repr(body) == f"Body({body.instrument!r})"
     assert repr(body.instrument).startswith("Instrument('lnd', links: ")
     assert len(repr(body)) < 200
+    assert repr(Renderer(body, CAMERA)) == f"Renderer({body!r}, {CAMERA!r})"
+    assert repr(Tracker(CAMERA, body)) == "Tracker('lnd', time=None, base not known)"
+    found = SessionCalibration("lnd", np.eye(4), {"jaw": 0.1}, (), np.eye(7), np.eye(7), {})
+    shown = "ok, 'lnd', 0 frames, base_mm=[0.0, 0.0, 0.0], offsets={'jaw': 0.1}, predicted_iou=1.000"
+    assert repr(found) == f"SessionCalibration({shown})"

@@ -15,6 +15,7 @@ from typing import Final
 
 from cyclopts import App, CycloptsError, MissingArgumentError, UnusedCliTokensError
 
+from dvrk_cmaes.cli.help import topic_pages
 from dvrk_cmaes.cli.terminal import INTERRUPTED, discard_stdout, prepare_streams, print_error
 from dvrk_cmaes.errors import DvrkCmaesError, InputError, one_line
 
@@ -123,7 +124,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     debug = _DEBUG in tokens
     if not os.environ.get("COLUMNS", "80").isdecimal() or int(os.environ.get("COLUMNS", "80")) < _NARROWEST:
         os.environ.pop("COLUMNS")  # a width of nothing, as of some terminals without one
-    if tokens[:1] == ["help"] and len(tokens) == 2 and _is_only_command(tokens[1]):
+    if tokens[:1] == ["help"] and tokens[1:] in [[name] for name in COMMANDS if name not in topic_pages()]:
         tokens = [tokens[1], "--help"]
     if not tokens or tokens[0] in ("--help", "-h"):
         for name in COMMANDS:
@@ -148,13 +149,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if debug:
                 traceback.print_exc()
             return _said(error, tokens)
-
-
-def _is_only_command(name: str) -> bool:
-    """Return whether a name is that of a command and not of a reference page."""
-    from dvrk_cmaes.cli.help import topic_pages
-
-    return name in COMMANDS and name not in topic_pages()
 
 
 def _said(error: BaseException, tokens: Sequence[str]) -> int:

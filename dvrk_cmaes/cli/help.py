@@ -10,7 +10,6 @@ from typing import ClassVar
 from dvrk_cmaes.cli.terminal import Line, show
 from dvrk_cmaes.errors import InputError, nearest_first
 
-_LARGEST = 1_000_000  # bytes
 _RELATIVE_LINK = re.compile(r"\[([^\]]*)\]\((?!\w+://)[^)]*\)")
 
 
@@ -46,7 +45,7 @@ def help_topic(topic: str | None = None, /, *, search: str | None = None) -> int
     if search is not None:
         show(_lines_with(search, pages if topic is None else {topic: pages[topic]}))
     elif topic is not None:
-        _print_markdown(_read(pages[topic]))
+        _print_markdown(pages[topic].read_text(encoding="utf-8"))
     return 0
 
 
@@ -62,7 +61,7 @@ def _listing(pages: Mapping[str, Path]) -> Iterator[Line]:
     yield Line("Topics of dvrk-cmaes help TOPIC", "bold")
     width = max(map(len, pages), default=0)
     for topic, path in pages.items():
-        title = _read(path).partition("\n")[0].removeprefix("# ")
+        title = path.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
         yield Line(f"  {topic:<{width}s}  {title}")
 
 
@@ -72,18 +71,12 @@ def _lines_with(text: str, pages: Mapping[str, Path]) -> list[Line]:
     found = [
         Line(f"{topic}: {_RELATIVE_LINK.sub(lambda link: link[1], line).strip(' |')}")
         for topic, path in pages.items()
-        for line in _read(path).splitlines()
+        for line in path.read_text(encoding="utf-8").splitlines()
         if all(word in line.casefold() for word in words)
     ]
     if not found:
         raise InputError(f"help: --search: expected words of the pages, got {text[:40]!r}, which no line of them has")
     return found
-
-
-def _read(path: Path) -> str:
-    from dvrk_cmaes.io.files import read_text
-
-    return read_text(path, expected="a reference page (Markdown)", largest=_LARGEST)
 
 
 def _print_markdown(text: str) -> None:

@@ -181,7 +181,7 @@ def track(
     every frame is then fitted with what that solution and its neighbours expect. With --causal, and where keyframes
     cannot be solved, the first frame is solved as by `estimate`, the others start from what the readings did since the
     frame before, and keyframes are solved as they come: no result depends on later frames, and none is ok before
-    keyframes tell the arm's base.
+    keyframes determine the arm's base.
 
     Exit codes: 0 all ok, 1 the work could not be done, 2 wrong usage or input, 3 finished, but a frame is doubtful or
     lost, 130 interrupted. What an earlier run wrote to OUT is replaced at the end, and stays where the command

@@ -175,6 +175,10 @@ class Renderer:
         """Number of poses rendered so far."""
         self._counting = Lock()
 
+    def __repr__(self) -> str:
+        """Show the instrument and the camera."""
+        return f"Renderer({self.body!r}, {self.camera!r})"
+
     def __getstate__(self) -> tuple[Body, Camera, int]:
         """Pickle what it is made from."""
         return self.body, self.camera, self.threads

@@ -42,7 +42,7 @@ from dvrk_cmaes.track.view_segmenter import Images, Masks, Seen, ViewSegmenter
 
 _GIVEN_LAG_STD = 1e-6  # s, of a lag that is given
 _BY_THE_BASE = 1.3  # of the error of the tips that is ok: the most that a first solution may leave, before any image
-_LAG_STD = 0.055  # s, largest standard deviation of a lag that keyframes tell
+_LAG_STD = 0.055  # s, largest standard deviation of a lag that keyframes determine
 
 
 class Tracker:
@@ -121,6 +121,11 @@ class Tracker:
         self._renderer = Renderer(self._body, rig.views[0].camera)
         self._time: float | None = None
         self._turn = threading.RLock()
+
+    def __repr__(self) -> str:
+        """Show the instrument, the time of the last image, and whether it follows by a calibration."""
+        base = "not known" if self._following is None else "known"
+        return f"Tracker({self._body.instrument.name!r}, time={self._time}, base {base})"
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle all but the lock."""
@@ -245,7 +250,8 @@ class Tracker:
     def _is_useful(self, solution: Solution, calibration: SessionCalibration) -> bool:
         """Whether images are to be followed by a first solution, and not any longer from image to image.
 
-        Not by one whose error is too large, nor by few keyframes that do not tell the lag: the arm may have been slow.
+        Not by one whose error is too large, nor by few keyframes that do not determine the lag: the arm may have been
+        slow.
         """
         _, std = lag_and_std(calibration, self._given.config.track.lag_std)
         known = std <= _LAG_STD or solution.keyframes >= RELIABLE
@@ -356,7 +362,7 @@ class Tracker:
         return result
 
     def _from_image_to_image(self, time: float, seen: Seen) -> TrackResult:
-        """Follow to an image without a calibration; no pose is ok, whether readings tell the base or not."""
+        """Follow to an image without a calibration; no pose is ok, whether readings determine the base or not."""
         following, solved = self._following, self._keyframes.solved
         late = 0.0 if following is None else following.late
         result = self._unknown.step(time, self._readings.at(time - late), seen, self.calibration)
