@@ -45,21 +45,15 @@ class Block:
         Name of the block.
     std : (n,)
         Standard deviations of the prior; infinite where nothing is known.
-    axes
-        Names of the unknowns; by default the block's with a number.
+
+    ``information`` (n, n) is the information matrix of the prior.
     """
 
     shared: bool = False
     """Whether the arms of a session have it in common: it stands in their problem once."""
 
-    def __init__(self, name: str, std: Float64, axes: Sequence[str] = ()) -> None:
-        self.name, self.std = name, std
-        self.axes = tuple(axes) or tuple(f"{name}_{number}" for number in range(len(std)))
-
-    @property
-    def information(self) -> Float64:
-        """Information matrix (n, n) of the prior."""
-        return np.diag(self.std**-2.0)
+    def __init__(self, name: str, std: Float64) -> None:
+        self.name, self.std, self.information = name, std, np.diag(std**-2.0)
 
     def deviation(self, value: Any) -> Float64:
         """Return the differences (n,) of a value from the mean of the prior; of most blocks, the value itself."""
@@ -86,7 +80,7 @@ class Base(PredictedBlock):
     """The arm's base (4, 4) in the camera, m, of which nothing is known beforehand; steps are in the base's axes."""
 
     def __init__(self) -> None:
-        super().__init__(BASE, np.full(6, np.inf), BASE_AXES)
+        super().__init__(BASE, np.full(6, np.inf))
 
     def deviation(self, value: Any) -> Float64:
         """Return zero: no base is expected."""
@@ -106,8 +100,8 @@ class Base(PredictedBlock):
 class Offsets(PredictedBlock):
     """The offsets (2 + J,) of insertion, roll and the instrument's joints, m and rad: true = reading + offset."""
 
-    def __init__(self, std: Float64, joints: Sequence[str]) -> None:
-        super().__init__(OFFSETS, std, (*OUTER_OFFSETS, *joints))
+    def __init__(self, std: Float64) -> None:
+        super().__init__(OFFSETS, std)
 
     def derivative(self, model: SessionModel, calibration: Calibration) -> Float64:
         """Return the changes: insertion moves the root along its z axis, roll turns it about this axis."""
@@ -122,29 +116,22 @@ class Offsets(PredictedBlock):
 class ViewAsSeen:
     """How a view is taken to see the instrument: its ``camera``, ``place`` (4, 4), m, and mask's ``margin``, px.
 
-    ``size`` is the width of its images in that of the reference camera's, ``scale`` the factor on the instrument.
+    ``scale`` is the factor on the instrument.
     """
 
     camera: Camera
     place: Float64
     margin: float
-    size: float
     scale: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class OutlineOfView:
-    """The N points of the outline of a pose ``at`` in a view, and their displacements ``by_pose`` (N, D), px.
+    """The N points of the outline of a pose ``at`` in a view."""
 
-    Displacements are times the lengths of the points' normals. ``name`` is that of the view.
-    """
-
-    name: str
     view: SizedView
     points: OutlinePoints
-    by_pose: Float64
     at: Posed
-    size: float
 
 
 class SeenBlock(Block, ABC):
@@ -156,6 +143,9 @@ class SeenBlock(Block, ABC):
         As of `Block`.
     start : (n,)
         Values from which estimates start; zero by default.
+
+    ``least_std`` (n,) are standard deviations of errors that the scatter of a session's frames does not show; by
+    default none.
     """
 
     is_linear: ClassVar[bool | tuple[bool, ...]] = False
@@ -163,12 +153,7 @@ class SeenBlock(Block, ABC):
 
     def __init__(self, name: str, std: Float64, start: Float64 | None = None) -> None:
         super().__init__(name, std)
-        self.start = np.zeros(len(std)) if start is None else start
-
-    @property
-    def least_std(self) -> Float64:
-        """Standard deviations (n,) of errors that the scatter of a session's frames does not show; by default none."""
-        return np.zeros(len(self.std))
+        self.start, self.least_std = np.zeros(len(std)) if start is None else start, np.zeros(len(std))
 
     def is_plausible(self, values: Float64) -> bool:
         """Whether outlines that are linearised at some values (n,) are still near the masks; by default always."""
@@ -200,7 +185,8 @@ class SeenBlock(Block, ABC):
 class FoundBlock(Document):
     """What a session finds of a block that it leaves at zero: by unknown, ``values`` with prior and posterior ``std``.
 
-    ``text`` says so in words, ``doubt`` by how much it contradicts a file, empty where it does not.
+    ``text`` says so in words, ``doubt`` by how much it contradicts a file, empty where it does not. ``applied`` is
+    whether the session was solved with the values.
     """
 
     axes: Texts
@@ -209,6 +195,21 @@ class FoundBlock(Document):
     prior_std: tuple[Number, ...]
     text: str
     doubt: str = ""
+    applied: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        axes: Sequence[str],
+        each: tuple[Float64, Float64, Float64],
+        text: str,
+        doubt: str = "",
+        *,
+        applied: bool = False,
+    ) -> FoundBlock:
+        """State ``each`` of values, posterior and prior standard deviations (n,); other arguments are the fields."""
+        values, std, prior_std = (tuple(one.tolist()) for one in each)
+        return cls(tuple(axes), values, std, prior_std, text, doubt, applied)
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,11 +239,6 @@ class Calibration:
         return found
 
     @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of the K unknowns."""
-        return tuple(axis for block in self.blocks for axis in block.axes)
-
-    @property
     def deviation(self) -> Float64:
         """Differences (K,) from the mean of the prior."""
         return np.concatenate([block.deviation(self.values[block.name]) for block in self.blocks])
@@ -250,7 +246,7 @@ class Calibration:
     @property
     def information(self) -> Float64:
         """Information matrix (K, K) of the prior."""
-        out = np.zeros((len(self.axes),) * 2)
+        out = np.zeros((self.own + len(self.further),) * 2)
         for block in self.blocks:
             place = self.place(block.name)
             out[place, place] = block.information
@@ -296,12 +292,7 @@ class Calibration:
         starts = {block.name: block.start for block in blocks if isinstance(block, SeenBlock)}
         return Calibration(tuple(whole), {**self.values, **starts, **values})
 
-    def without(self, name: str) -> Calibration:
-        """Return the calibration without a block of some name."""
-        kept = {key: value for key, value in self.values.items() if key != name}
-        return Calibration(tuple(block for block in self.blocks if block.name != name), kept)
-
-    def alone(self) -> Calibration:
-        """Return the calibration with the blocks that change what is predicted, only."""
-        kept = self.predicted
+    def alone(self, without: str = "") -> Calibration:
+        """Return the calibration with the blocks that change what is predicted only, less one of some name."""
+        kept = tuple(block for block in self.predicted if block.name != without)
         return Calibration(kept, {block.name: self.values[block.name] for block in kept})

@@ -9,14 +9,14 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
+from dvrk_cmaes.calibration.blocks import BASE_AXES, OUTER_OFFSETS
 from dvrk_cmaes.calibration.cables import SessionCables
-from dvrk_cmaes.calibration.document import Agreement, SessionCalibration, describe_solution
+from dvrk_cmaes.calibration.document import Agreement, SessionCalibration, undetermined
 from dvrk_cmaes.calibration.model import SessionModel, outer_readings
-from dvrk_cmaes.calibration.session_camera import CameraCheck, errors_of_camera
 from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual_insertion
 from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
 from dvrk_cmaes.calibration.session_frame import (
@@ -36,7 +36,7 @@ from dvrk_cmaes.calibration.together import Begun, Outcome, solved_alone
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import Evidence
-from dvrk_cmaes.geometry import Float64, inverse
+from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.joints.lag import Lag
@@ -119,17 +119,6 @@ def calibrate_session(
     return solved_alone(begin_arm(frames, setup))[0]
 
 
-class _Given(NamedTuple):
-    """What an arm's session is made of: all ``frames``.
-
-    ``commanded`` are the only readings of joints whose readings never move, ``started`` when this began.
-    """
-
-    frames: Sequence[SessionFrame]
-    commanded: Mapping[str, float]
-    started: float
-
-
 def begin_arm(frames: Sequence[SessionFrame], setup: ArmSetup) -> Begun[tuple[SolvedSession, dict[str, Evidence]]]:
     """Select the usable frames of an arm, to be solved as `calibrate_session` does; what finishes it states the result.
 
@@ -137,94 +126,108 @@ def begin_arm(frames: Sequence[SessionFrame], setup: ArmSetup) -> Begun[tuple[So
     image, for drawings.
     """
     check_config(setup.config)
-    started, left_out, names = time.perf_counter(), _unusable(frames), setup.instrument.joint_names
+    started, names = time.perf_counter(), setup.instrument.joint_names
+    left_out = {frame.name: text for frame in frames if (text := frame.lacks)}
+    _check_number(len(frames) - len(left_out), left_out.values())
     usable = [frame for frame in frames if frame.name not in left_out]
-    series = _series_of(usable) if setup.series is None else setup.series
-    readings = [frame.result.readings for frame in usable]
-    commanded = commanded_in(readings, names)
+    readings = {frame.name: frame.result.readings for frame in usable}
+    series = setup.series or ReadingSeries.of_frames(readings, {frame.name: frame.time for frame in usable})
+    commanded = commanded_in([*readings.values()], names)
     setup = replace(setup, series=series, config=with_commanded(setup.config, commanded, names))
     rotations = rotations_of_session(frame.result for frame in usable)
     if turns := turns_of(rotations):
         usable = [frame.with_turned_views(turns) for frame in usable]
-    only = {name: next(own[name] for own in readings if name in own) for name in commanded}
+    only = {name: next(own[name] for own in readings.values() if name in own) for name in commanded}
     arm = replace(ArmSession.of(setup, usable, rotations), left_out=left_out)
-    return Begun(partial(_finished, _Given(tuple(frames), only, started)), arm)
+    return Begun(partial(_finished, tuple(frames), only, started), arm)
 
 
-def _finished(given: _Given, outcome: Outcome | None) -> tuple[SolvedSession, dict[str, Evidence]]:
-    """State what was found of an arm."""
+def _finished(
+    frames: Sequence[SessionFrame], commanded: Mapping[str, float], started: float, outcome: Outcome | None
+) -> tuple[SolvedSession, dict[str, Evidence]]:
+    """State what was found of an arm with ``frames``.
+
+    ``commanded`` are the only readings of joints whose readings never move, ``started`` when this began.
+    """
     assert outcome is not None
     if isinstance(outcome, Exception):
         raise outcome
-    arm, check = outcome, outcome.check
-    assert check is not None
     with single_blas_thread():
-        errors = errors_of_camera(check, arm.stored[0].camera, arm.setup.config.camera)
-        reports, reasons = reported(arm, errors)
+        reports, left_out = reported(outcome)
+    arm, settings = replace(outcome, left_out=left_out), outcome.setup.config.session
     by_name = dict(zip((frame.name for frame in arm.frames), reports, strict=True))
-    results = {frame.name: frame.result for frame in given.frames}
+    results = {frame.name: frame.result for frame in frames}
     results |= {name: report.result for name, report in by_name.items()}
-    arm = replace(arm, left_out=reasons)
     predicted = {name: report.leave_one_out for name, report in by_name.items()}
-    calibration = _stated(given, arm, check, errors, results, predicted)
-    calibration = _judged(arm, calibration, [by_name[name].end_missing for name in calibration.frames])
+    calibration = _stated(arm, commanded, results, predicted)
+    if unusual := unusual_insertion(calibration, settings):
+        calibration = replace(calibration, remarks=(*calibration.remarks, unusual))
+    doubts = doubts_of(
+        calibration,
+        settings,
+        without_lag=arm.lag.undetermined if arm.lag.nowhere else "",
+        pixel_scale=arm.stored[0].views[0].evidence.camera.pixel_scale,
+        ends_lacking=[by_name[name].end_missing for name in calibration.frames],
+    )
+    calibration = replace(calibration, doubts=doubts, seconds=time.perf_counter() - started)
     results = {name: resting_on(result, calibration) for name, result in results.items()}
     evidence = {frame.name: one.views[0].evidence for frame, one in zip(arm.frames, arm.stored, strict=True)}
     return SolvedSession(calibration, results, predicted), evidence
 
 
 def _stated(
-    given: _Given,
     arm: ArmSession,
-    check: CameraCheck,
-    camera_errors: Float64,
+    commanded: Mapping[str, float],
     results: Mapping[str, Result],
     predicted: Mapping[str, LeaveOneOutPrediction],
 ) -> SessionCalibration:
     """State what a session that is solved shows, without doubts."""
-    left_out, commanded, lag = arm.left_out, list(given.commanded), arm.lag
-    settings, instrument = arm.setup.config, arm.setup.instrument
-    names = tuple(frame.name for frame in arm.frames)
-    frames = tuple(name for name in names if name not in left_out)
+    assert arm.check is not None
+    model, calibration, lag, settings = arm.model, arm.calibration, arm.lag, arm.setup.config
+    frames = tuple(frame.name for frame in arm.frames if frame.name not in arm.left_out)
     used = [results[name] for name in frames]
     qualities = [one.quality for one in used if one.quality is not None]
-    endoscope = _endoscope(arm)
-    described = describe_solution(arm.model, arm.solution, arm.of_camera_and_masks, settings)
-    described["undetermined"] += _undetermined(arm, endoscope, commanded)
+    names = (*OUTER_OFFSETS, *model.names)
+    own = slice(len(BASE_AXES) + len(names))
+    # those who expect images of the session add what errors of all masks do to what is seen there
+    given_camera = arm.solution.covariance[own, own]
+    covariance = given_camera + arm.of_camera_and_masks[own, own]
+    endoscope = SessionEndoscope.of(arm)
+    texts = [*undetermined(np.sqrt(np.diag(covariance)), names, settings), *arm.undetermined]
+    texts += [] if endoscope is None else endoscope.undetermined
+    if lag.lag is None:
+        texts.append(f"lag between images and readings: {lag.undetermined}")
+    if commanded:
+        texts.append(f"offsets of {', '.join(commanded)} at other readings than the only one of each")
     return SessionCalibration(
-        instrument=instrument.name,
-        arm=arm.setup.arm,
-        roll_offset=instrument.roll_offset,
+        instrument=arm.setup.instrument.name,
+        camera_from_base=calibration.camera_from_base,
+        offsets=dict(zip(names, calibration.offsets.tolist(), strict=True)),
+        axes=(*BASE_AXES, *names),
+        covariance=covariance,
+        covariance_given_camera=given_camera,
+        spreads=model.spreads,
         frames=frames,
-        left_out=dict(sorted(left_out.items())),
+        left_out=dict(sorted(arm.left_out.items())),
         leave_one_out={name: Agreement(one.iou, one.contour_px) for name, one in predicted.items() if name in frames},
         iou=float(np.median([quality.iou for quality in qualities])) if qualities else 0.0,
         contour_px_95=float(np.median([quality.contour_px_95 for quality in qualities])) if qualities else 0.0,
         lag=lag.lag,
         lag_curve=lag.curve,
         cables=SessionCables.of(arm.cables),
-        camera=check.camera,
-        camera_errors=camera_errors,
+        camera_errors=arm.check.errors,
         endoscope=endoscope,
-        blocks=dict(check.blocks),
+        blocks=dict(arm.check.blocks),
         masks=arm.masks,
         rig=arm.rig,
-        commanded=dict(given.commanded),
-        remarks=_remarks(arm, used, commanded),
-        seconds=time.perf_counter() - given.started,
-        config={**settings.as_dict(), "instrument": instrument.describe_limits(arm.setup.arm)},
-        **described,
+        commanded=dict(commanded),
+        undetermined=tuple(texts),
+        remarks=_remarks(arm, used, [*commanded]),
+        arm=arm.setup.arm,
+        roll_offset=arm.setup.instrument.roll_offset,
+        seed=settings.seed,
+        config=arm.stated_settings,
     )
-
-
-def _undetermined(arm: ArmSession, endoscope: SessionEndoscope | None, commanded: Sequence[str]) -> tuple[str, ...]:
-    """Return what a session does not determine, besides base and offsets; ``commanded`` are joints that never move."""
-    texts = [*arm.undetermined, *([] if endoscope is None else endoscope.undetermined)]
-    if arm.lag.lag is None:
-        texts.append(f"lag between images and readings: {arm.lag.undetermined}")
-    if commanded:
-        texts.append(f"offsets of {', '.join(commanded)} at other readings than the only one of each")
-    return tuple(texts)
 
 
 def _remarks(arm: ArmSession, used: Sequence[Result], commanded: Sequence[str]) -> tuple[str, ...]:
@@ -235,38 +238,6 @@ def _remarks(arm: ArmSession, used: Sequence[Result], commanded: Sequence[str]) 
         *([describe_commanded(commanded)] if commanded else []),
         *_exchanged_readings(used, arm.setup.instrument),
         *arm.remarks,
-    )
-
-
-def _endoscope(arm: ArmSession) -> SessionEndoscope | None:
-    """Return what a session shows of an endoscope that moves; None of one that stands still."""
-    return SessionEndoscope.of(
-        arm.model,
-        arm.solution.calibration,
-        arm.solution.covariance,
-        [frame.name for frame in arm.frames],
-        [frame.time for frame in arm.frames],
-        arm.of_camera_and_masks,
-    )
-
-
-def _judged(arm: ArmSession, calibration: SessionCalibration, ends_lacking: Sequence[bool]) -> SessionCalibration:
-    """Return a calibration with the doubts about the session as a whole, and with an unusual insertion remarked."""
-    settings = arm.setup.config.session
-    if unusual := unusual_insertion(calibration, settings):
-        calibration = replace(calibration, remarks=(*calibration.remarks, unusual))
-    without_lag = arm.lag.undetermined if arm.lag.nowhere else ""
-    pixel_scale = arm.stored[0].views[0].evidence.camera.pixel_scale
-    doubts = doubts_of(
-        calibration, settings, without_lag=without_lag, pixel_scale=pixel_scale, ends_lacking=ends_lacking
-    )
-    return replace(calibration, doubts=doubts)
-
-
-def _series_of(frames: Sequence[SessionFrame]) -> ReadingSeries | None:
-    """Return the frames' own readings as functions of time."""
-    return ReadingSeries.of_frames(
-        {frame.name: frame.result.readings for frame in frames}, {frame.name: frame.time for frame in frames}
     )
 
 
@@ -285,16 +256,6 @@ def in_threads(
     return map_threaded(lambda task: function(body, config, task), tasks, config.threads)
 
 
-def _unusable(frames: Sequence[SessionFrame]) -> dict[str, str]:
-    """Return the reasons, by name, for the frames without a pose or the outer joints' readings.
-
-    Raises `InputError` if there are too few others.
-    """
-    left_out = {frame.name: text for frame in frames if (text := frame.lacks)}
-    _check_number(len(frames) - len(left_out), left_out.values())
-    return left_out
-
-
 def check_outer_joints(readings: Sequence[Mapping[str, float]]) -> None:
     """Refuse frames of which too few have readings of all outer joints, before they are estimated; InputError."""
     missing = int(np.isnan(outer_readings(readings)).any(axis=1).sum())
@@ -308,20 +269,11 @@ def _check_number(usable: int, why: Iterable[str]) -> None:
         raise InputError(f"session: expected at least {LEAST_FRAMES} usable frames, got {usable} ({reasons})")
 
 
-def reported(arm: ArmSession, camera_errors: Float64) -> tuple[list[FrameReport], dict[str, str]]:
+def reported(arm: ArmSession) -> tuple[list[FrameReport], dict[str, str]]:
     """Return the reports of the frames in use, and by name the reason for each frame that is left out.
 
-    Parameters
-    ----------
-    arm
-        The arm, solved; its evidence is as seen by the camera that is used.
-    camera_errors : (6, 6)
-        Covariance of the camera that is used.
-
-    Raises
-    ------
-    InputError
-        Too few frames agree with the calibration.
+    The evidence of the arm, which is solved, is as seen by the camera that is used. Raises InputError if too few frames
+    agree with the calibration.
     """
     setup, model, solution = arm.setup, arm.model, arm.solution
     setup.progress("leaving one out", len(arm.frames))
@@ -329,23 +281,23 @@ def reported(arm: ArmSession, camera_errors: Float64) -> tuple[list[FrameReport]
     arm.check_agreement(disagreements)
     named = zip(arm.frames, disagreements, strict=True)
     reasons = {**arm.left_out, **{frame.name: text for frame, text in named if text}}
+    assert arm.check is not None
     covariances = frame_covariances(model, arm.outlines(keep_all=True), solution)
-    bases, tasks = model.base_from_root(solution.calibration.offsets), []
-    stated = {**setup.config.as_dict(), "instrument": setup.instrument.describe_limits(setup.arm)}
+    if arm.masks is not None and arm.check.of_margin is not None:
+        moved = arm.check.of_margin.of_frames
+        covariances += arm.masks.square * moved[:, :, None] * moved[:, None, :]
+    bases, tasks = model.base_from_root(arm.calibration.offsets), []
     for i, (frame, result, disagreement) in enumerate(zip(arm.frames, _results(arm), disagreements, strict=True)):
-        if arm.masks is not None and arm.check is not None and arm.check.of_margin is not None:
-            moved = arm.check.of_margin.of_frames[i]
-            covariances[i] += arm.masks.square * np.outer(moved, moved)
         task = ReportTask(
             arm.stored[i],
-            result if disagreement or frame.brief else replace(result, config=stated),
+            result if disagreement or frame.brief else replace(result, config=arm.stated_settings),
             arm.fits[i],
             covariances[i],
             model.subset([i]).predict(leave_one_out(solution, i))[0],
             np.asarray(arm.fits[i].at.pose @ inverse(bases[i])),
             (*([disagreement] if disagreement else ()), *_describe_slips(model, i, setup.config.session)),
             agree=not disagreement,
-            camera_errors=camera_errors,
+            camera_errors=arm.check.errors,
             brief=frame.brief,
         )
         tasks.append(task)

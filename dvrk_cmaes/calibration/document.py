@@ -21,11 +21,11 @@ from dvrk_cmaes.calibration.model import (
     ecm_readings,
     offset_deviations,
 )
-from dvrk_cmaes.calibration.session_camera import SessionCamera
+from dvrk_cmaes.calibration.session_camera import CAMERA
 from dvrk_cmaes.calibration.session_endoscope import UNDETERMINED_ROTATION, SessionEndoscope
+from dvrk_cmaes.calibration.session_frame import changed
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation, turns_of
-from dvrk_cmaes.calibration.solve import Solved
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.rig import V, ViewDocument, turned_views
 from dvrk_cmaes.config import CameraConfig, EstimateConfig, ReadingSigmas, __version__
@@ -50,7 +50,7 @@ from dvrk_cmaes.io.typed_document import (
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.pose.expected_error import file_covariance
 
-SCHEMA = 3
+SCHEMA = 4
 CALIBRATION_EXPECTED = "a SessionCalibration (dvrk_cmaes.read_calibration reads one)"
 """What messages about arguments say of the type."""
 _OTHERWISE = {"axes", "covariance", "covariance_given_camera", "seconds", "config"}
@@ -85,10 +85,10 @@ class SessionCalibration:
     lag : lag of the images behind the readings; None if the session does not determine it.
     lag_curve : disagreement of the frames as a function of the lag; None if no lag was searched.
     cables : coupling, play and wander of the cables; None if offsets explain the session as well.
-    camera : change of the camera that the frames fit; None if it was not tested.
     camera_errors : (6, 6) covariance of camera and size with which the session was solved, by file and frames, in the
     order of `PARAMETERS`.
-    blocks : what was found of further unknowns that all frames share, by block; the solution leaves them at zero.
+    blocks : what was found of further unknowns that all frames share, by block: the camera, if it was tested, its lens
+    and the sizes of the instrument. The solution leaves them at zero but for a camera that was refined.
     masks : the margin and the other errors that all masks share; None if they were not estimated.
     rig : what the further views differ in from the rig's file, of those that were tested.
     views : the cameras and their places with which the session was solved; empty of frames in memory.
@@ -115,7 +115,6 @@ class SessionCalibration:
     lag: Lag | None = None
     lag_curve: LagCurve | None = None
     cables: SessionCables | None = None
-    camera: SessionCamera | None = None
     blocks: dict[str, FoundBlock] = field(default_factory=dict)
     masks: SessionMasks | None = None
     camera_errors: SquareOfSix = field(
@@ -154,7 +153,8 @@ class SessionCalibration:
         camera
             The camera as its file has it.
         """
-        return camera if self.camera is None else self.camera.corrected(camera)
+        found = self.blocks.get(CAMERA)
+        return changed(camera, np.array(found.values)) if found is not None and found.applied else camera
 
     def corrected_views(self, views: Sequence[V]) -> tuple[V, ...]:
         """Return the views of a rig or frame with which the session was solved: all cameras `corrected`, some changed.
@@ -201,8 +201,6 @@ class SessionCalibration:
             taken = f"taken out of the readings (of other commands: {self.lag.option})"
             done = taken if self.lag.applied else "zero within its error, not taken out"
             yield f"lag: {self.lag.describe()}; {done}"
-        if self.camera is not None:
-            yield f"camera, against the one used: {self.camera.describe()}"
         yield from (block.text for block in self.blocks.values())
         yield from (view.describe() for view in self.rig)
         yield from (each.describe() for each in (self.masks,) if each is not None)
@@ -265,8 +263,9 @@ class SessionCalibration:
             raise refused(where, "lag", "frames or seconds", fields["lag"])
         if found.cables is not None:
             found.cables.check(where, tuple(found.offsets)[1:])
-        if found.masks is not None:
-            found.masks.check(where, len(found.whole_covariance))
+        count = len(found.whole_covariance)
+        if found.masks is not None and len(found.masks.by_margin) not in (0, count):  # none where it was not estimated
+            raise refused(where, "masks.by_margin", f"{count} numbers", found.masks.by_margin)
         return found
 
     def at(
@@ -348,11 +347,12 @@ class SessionCalibration:
             joints,
             joint_names,
             Deviations(np.array(values[:4]), np.array(values[4:-2]), slack),
-            arm=self.arm,
-            roll_offset=self.roll_offset,
-            inflation=self._elsewhere(joints, joint_names, np.array(values[4:-2])),
-            correction=correction,
-            endoscope=endoscope,
+            self.arm,
+            self.roll_offset,
+            self._elsewhere(joints, joint_names, np.array(values[4:-2])),
+            correction,
+            np.full(len(names), np.inf),
+            endoscope,
         )
         return model, model.calibration(self.camera_from_base, offsets)
 
@@ -368,36 +368,7 @@ class SessionCalibration:
         return np.column_stack([np.ones(len(joints)), np.sqrt(1 + (away / std) ** 2)])
 
 
-def describe_solution(
-    model: SessionModel, solution: Solved, further: Float64, config: EstimateConfig
-) -> dict[str, Any]:
-    """Return the parts of a solution as fields of a `SessionCalibration`.
-
-    ``further`` (K, K) is the mean square of the solution's errors that errors of the camera and of all masks cause.
-    """
-    names = (*OUTER_OFFSETS, *model.names)
-    deviations, own = model.deviations, slice(len(BASE_AXES) + len(names))
-    # those who expect images of the session add what errors of all masks do to what is seen there
-    given_camera = solution.covariance[own, own]
-    covariance = given_camera + further[own, own]
-    std = np.sqrt(np.diag(covariance))
-    # from frame to frame, for those who correct by the offsets only
-    corrected = np.concatenate([deviations.outer[3:], deviations.joints])
-    uncorrected = np.hypot(corrected, np.std(model.correction.values, axis=0))
-    outer = np.concatenate([deviations.outer[:3], uncorrected[:1]])
-    return {
-        "camera_from_base": solution.calibration.camera_from_base,
-        "offsets": dict(zip(names, solution.calibration.offsets.tolist(), strict=True)),
-        "axes": (*BASE_AXES, *names),
-        "covariance": covariance,
-        "covariance_given_camera": given_camera,
-        "spreads": replace(deviations, outer=outer, joints=uncorrected[1:]).by_name(model.names),
-        "undetermined": tuple(_undetermined(std, names, config)),
-        "seed": config.seed,
-    }
-
-
-def _undetermined(std: Float64, names: tuple[str, ...], config: EstimateConfig) -> list[str]:
+def undetermined(std: Float64, names: tuple[str, ...], config: EstimateConfig) -> list[str]:
     """Describe the parts of the calibration whose standard deviations exceed their thresholds."""
     texts = []
     if std[:3].max() > _UNDETERMINED_POSITION:

@@ -8,7 +8,6 @@ errors of its readings at each place where it stands; without readings, of the p
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.blocks import ENDOSCOPE, Calibration, PredictedBlock
 from dvrk_cmaes.geometry import adjoint, change_between, exp_rotation, inverse, moved, rotation_about_z, transform
 from dvrk_cmaes.instrument.endoscope import STRAIGHT, ecm_from_tip_and_jacobian
-from dvrk_cmaes.joints.names import ECM_JOINTS
+from dvrk_cmaes.io.typed_document import Number
 from dvrk_cmaes.pose.refine.information import times
 
 if TYPE_CHECKING:
@@ -111,7 +110,7 @@ class EndoscopeValues:
 
 
 @dataclass(frozen=True, eq=False)
-class _Moving(ABC):
+class _Moving:
     """Where the endoscope is in each of N frames, as a function of the values of M unknowns.
 
     ``start`` are the values from which an estimation starts, ``loose`` (M,) their standard deviations. ``shared`` is
@@ -125,25 +124,15 @@ class _Moving(ABC):
     @property
     def block(self) -> EndoscopeBlock:
         """The block of the M unknowns."""
-        return EndoscopeBlock(self.start, self.axes, shared=self.shared)
-
-    @property
-    @abstractmethod
-    def axes(self) -> tuple[str, ...]:
-        """Names of the M unknowns."""
+        return EndoscopeBlock(self.start, shared=self.shared)
 
 
 class EndoscopeBlock(PredictedBlock):
     """The unknowns of an endoscope that moves."""
 
-    def __init__(self, start: EndoscopeValues, axes: Sequence[str], *, shared: bool) -> None:
-        super().__init__(ENDOSCOPE, start.std, axes)
-        self._information, self.shared = start.information, shared
-
-    @property
-    def information(self) -> Float64:
-        """Information matrix (M, M) of the prior."""
-        return self._information
+    def __init__(self, start: EndoscopeValues, *, shared: bool) -> None:
+        super().__init__(ENDOSCOPE, start.std)
+        self.information, self.shared = start.information, shared
 
     def deviation(self, value: Any) -> Float64:
         """Return the differences from what is expected beforehand."""
@@ -163,12 +152,19 @@ class EndoscopeBlock(PredictedBlock):
         return out
 
 
-@dataclass(frozen=True, eq=False)
-class Place:
-    """A place at which the endoscope stands: its ``readings`` (4,), and how far from them (4,) others are of it."""
+Row = tuple[Number, ...]
 
-    readings: Float64
-    within: Float64
+
+@dataclass(frozen=True)
+class Place:
+    """A place at which the endoscope stands: its ``readings`` (4,), and how far ``within`` these (4,) others are of it.
+
+    ``error`` (4,) is what is added to the readings there, once it is known.
+    """
+
+    readings: Row
+    within: Row
+    error: Row = (0.0,) * 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +189,7 @@ class Steered(_Moving):
         if np.isnan(read).any() or not len(read):
             return None
         if not places:  # it moves all the time
-            places = (Place(np.median(read, axis=0), np.zeros(4)),)
+            places = (Place(tuple(np.median(read, axis=0).tolist()), (0.0,) * 4),)
         if len(places) == 1:
             away = (np.abs(read - places[0].readings) > np.maximum(places[0].within, _NOISE)).any(axis=1)
             if np.convolve(away, np.ones(_STANDS), "valid").max(initial=0.0) != _STANDS:  # single ones are noise
@@ -291,13 +287,6 @@ class Steered(_Moving):
         starts = [replace(self.start, poses=pose[None], expected=pose[None]) for pose in poses]
         return [replace(self, start=start, loose=loose) for start in starts]
 
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of the M unknowns."""
-        hand_eye = tuple(f"tip_from_camera_{name}" for name in ("tx", "ty", "tz", "rx", "ry", "rz"))
-        places = (f"{name}_at_{number}" for number in range(1, len(self.places)) for name in ECM_JOINTS)
-        return (*hand_eye, *ECM_JOINTS, *places)
-
 
 @dataclass(frozen=True, eq=False)
 class Pieces(_Moving):
@@ -336,12 +325,6 @@ class Pieces(_Moving):
         """Return the endoscope in the frames at some indices."""
         return replace(self, piece=self.piece[index])
 
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of the M unknowns."""
-        count = len(self.start.poses)
-        return tuple(f"piece_{k + 1}_{name}" for k in range(count) for name in ("tx", "ty", "tz", "rx", "ry", "rz"))
-
 
 Endoscope = Steered | Pieces
 """Where an endoscope that moves is in some frames."""
@@ -365,7 +348,9 @@ def find_places(read: Float64) -> tuple[Place, ...]:
             max(near, key=len).append(frame)
         else:
             groups.append([frame])
-    return tuple(Place(read[group].mean(axis=0), _SAME * noise) for group in groups if len(group) >= _STANDS)
+    within = tuple((_SAME * noise).tolist())
+    found = [group for group in groups if len(group) >= _STANDS]
+    return tuple(Place(tuple(read[group].mean(axis=0).tolist()), within) for group in found)
 
 
 def filled(read: Float64) -> Float64:

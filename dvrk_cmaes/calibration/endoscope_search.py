@@ -98,7 +98,7 @@ def find_pieces(
         before, (pieces, cameras, solution) = pieces, _solved(model, modes, bases, _fewest_changes(costs))
         if np.array_equal(before, pieces):
             break
-        found = solution.calibration.without(ENDOSCOPE)
+        found = solution.calibration.alone(without=ENDOSCOPE)
         bases = [found, *(found.with_blocks(base=move @ found.camera_from_base) for move in cameras)]
     return Pieces.of(pieces, cameras) if pieces.any() else None
 

@@ -18,7 +18,7 @@ from dvrk_cmaes.pose.refine.information import ALL, Selection
 from dvrk_cmaes.pose.terms.coverage import Coverage, DrawnCoverage, of_margin
 from dvrk_cmaes.pose.terms.shared_errors import SIDES, without_last
 from dvrk_cmaes.pose.terms.sized_view import SizedView
-from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_costs, sum_of_locals
+from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_locals
 from dvrk_cmaes.pose.terms.tips_term import Expected, terms_of_frame
 from dvrk_cmaes.pose.views import FrameView, overlap
 from dvrk_cmaes.silhouette import OutlinePoints
@@ -126,8 +126,7 @@ class FitPreset:
     """How a frame is fitted.
 
     ``steps`` are those of the refinement, with at least the tolerance of the settings; None to fit from coarse to fine.
-    ``confirmed`` says then whether the last step, shorter than the tolerance, is drawn and undone if it raises the
-    loss. ``of_one`` is whether only the better start is refined. ``noise`` says how the outlines' noise is measured
+    ``noise`` says how the outlines' noise is measured
     where the frame has no estimate of its own: by the silhouette of the fit; the same, and by that the outlines are
     weighed anew; or by what the fit drew. ``lines_per_pixel`` are those of the drawings, those of the settings by
     default. Every ``stride``-th point of the outline counts at the end; ``as_seen`` is as in
@@ -136,8 +135,6 @@ class FitPreset:
     """
 
     steps: Steps | None = None
-    confirmed: bool = False
-    of_one: bool = False
     noise: Literal["silhouette", "weighed", "drawn"] = "silhouette"
     lines_per_pixel: int | None = None
     stride: int = 1
@@ -149,12 +146,9 @@ LINES_PER_PIXEL: Final = 1
 """Lines of the image, for each row of pixels, by which silhouettes are drawn while a recording runs."""
 
 IN_SESSION: Final = FitPreset()
-"""Fit of a frame of a session that is solved, which is fitted again in the next round."""
+"""Fit of a frame of a session that is solved, or of a single frame of one that is calibrated."""
 
-OF_NEW_FRAME: Final = FitPreset(confirmed=True)
-"""Fit of a single frame of a calibrated session."""
-
-FOLLOWED: Final = FitPreset(Steps(12, 3, 0.0, "none", 4.0), of_one=True, noise="weighed", sides=1.0)
+FOLLOWED: Final = FitPreset(Steps(12, 3, 0.0, "none", 4.0), noise="weighed", sides=1.0)
 """Fit of an image that follows others, near the prediction: two or three steps are enough there, more are far off."""
 
 WHILE_RUNNING: Final = FitPreset(
@@ -255,12 +249,8 @@ def _refined(
         if own_estimate is not None:
             known = own_estimate.residual
             coverage = coverage.changed(noise=coverage.noise_at(own_estimate.at) if known is None else known / shrink)
-        if preset.of_one and len(starts) > 1:
-            at = Posed.stacked([_better_start(coverage, terms, at)])
-        if preset.steps is None:
-            steps = replace(Steps.of(outline, shrink), tested="all" if preset.confirmed else "long")
-        else:
-            steps = replace(preset.steps, tolerance=max(preset.steps.tolerance, outline.tolerance))
+        steps = preset.steps or replace(Steps.of(outline, shrink), tested="long")
+        steps = replace(steps, tolerance=max(steps.tolerance, outline.tolerance))
         fits = sorted(refine(coverage, terms, at, steps, selection), key=lambda fit: fit.score)[:_KEPT]
         at, count = Posed.stacked([fit.at for fit in fits]), count + coverage.silhouettes
     fit, before = fits[0], coverage.silhouettes
@@ -293,13 +283,6 @@ def _outline_and_margin(
     sides, own = np.eye(SIDES * len(coverage.views)), 6 + len(at.joints)
     both = without_last(whole, sides / preset.sides**2)
     return Quadratic(both.information[:, :own, :own], both.slope[:, :own]), both.information[0, :own, own]
-
-
-def _better_start(coverage: Coverage, terms: Sequence[Term], starts: Posed) -> Posed:
-    """Return the start with the best score."""
-    drawn, others = coverage.draw(starts, derivatives=None), sum_of_costs(terms, starts)
-    scores = [coverage.score_of(one) + 0.5 * float(other) for one, other in zip(drawn, others, strict=True)]
-    return starts[int(np.argmin(scores))]
 
 
 def _drawn_anew(fit: Fit, coverage: Coverage) -> Fit:

@@ -92,17 +92,17 @@ class LagBlock(PredictedBlock):
     """
 
     def __init__(self, std: float, at: Callable[[float], SessionModel], step: float) -> None:
-        super().__init__(LAG, np.array([std]), (LAG,))
+        super().__init__(LAG, np.array([std]))
         self._at, self._step = at, step
 
     def change(self, model: SessionModel, calibration: Calibration) -> Float64:
         """Return the changes of the predictions by the lag."""
-        alone = calibration.without(LAG)
+        alone = calibration.alone(without=LAG)
         return self._at(calibration.values[LAG].item()).predict(alone).minus(model.predict(alone))
 
     def derivative(self, model: SessionModel, calibration: Calibration) -> Float64:
         """Return the changes of the predictions by those of the readings."""
-        alone, value = calibration.without(LAG), calibration.values[LAG].item()
+        alone, value = calibration.alone(without=LAG), calibration.values[LAG].item()
         later, earlier = (self._at(value + by).predict(alone) for by in (self._step, -self._step))
         return later.minus(earlier)[:, :, None] / (2 * self._step)
 

@@ -12,12 +12,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.special import softmax
 
 from dvrk_cmaes.calibration.blocks import Calibration, OutlineOfView, SeenBlock, ViewAsSeen
 from dvrk_cmaes.calibration.frame_fit import SIDES_IN_SESSION, with_noise
 from dvrk_cmaes.calibration.model import CommonErrors, SessionModel
 from dvrk_cmaes.calibration.session_frame import Run, StoredFrame
-from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, Solved, marginalise
+from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, Solved, inverse_information, marginalise
 from dvrk_cmaes.calibration.variances import solve_with_variances
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
@@ -56,7 +57,7 @@ def outline_task(
     coverage = coverage.changed(noise=own.residual)
 
     def effects(_: int, points: OutlinePoints, by_pose: Float64) -> Float64:
-        drawn_there = OutlineOfView(view.name, sized, points, by_pose, at, by.size)
+        drawn_there = OutlineOfView(sized, points, at)
         return np.column_stack([block.effect(drawn_there) for block in blocks])
 
     whole = coverage.near_with_sides(at, own.noises, effects, drawn, as_seen=config.session.shadows)
@@ -125,8 +126,7 @@ class ArmOutlines:
     def _seen(self, stored: StoredFrame, number: int, values: Mapping[str, Float64]) -> ViewAsSeen:
         """Return how a view of a frame sees with some values of the blocks."""
         view = stored.views[number]
-        camera = view.evidence.camera
-        by = ViewAsSeen(camera, view.view_from_camera, 0.0, camera.width / self.camera.width)
+        by = ViewAsSeen(view.evidence.camera, view.view_from_camera, 0.0)
         for block in self.blocks:
             by = block.seen(view.name, by, values[block.name])
         return by
@@ -178,6 +178,12 @@ class Linearised:
         """Return the standard deviations (n,) of a block."""
         own = np.diag(self.covariance)[self.solution.calibration.place(block.name)]
         return np.hypot(np.sqrt(own), block.least_std)
+
+    def moved_by(self, name: str) -> Float64:
+        """Return by how much an error of a block (n,) moves the calibration, (L, n), L unknowns that are predicted."""
+        own = slice(0, self.solution.calibration.own)
+        cross = self.information[own, self.solution.calibration.place(name)]
+        return -inverse_information(self.information[own, own]) @ cross
 
     def with_std(self, changed: Mapping[str, Float64 | float]) -> tuple[Float64, Float64]:
         """Return what the last linearisation shows if priors have other standard deviations.
@@ -249,3 +255,28 @@ def linearise(
 def weak(count: int) -> Float64:
     """Return an information matrix (K, K), K = ``count``, of a base that is hardly known."""
     return np.diag(np.array([_BASE_STD[0] ** -2] * 3 + [_BASE_STD[1] ** -2] * 3 + [0.0] * (count - 6)))
+
+
+def with_prior(alone: Float64, covariance: Float64, std: Float64) -> tuple[Float64, Float64]:
+    """Return values (n,) and their covariance (n, n) with normal priors about zero, of standard deviations (n,)."""
+    gain = np.diag(std**2) @ np.linalg.inv(covariance + np.diag(std**2))
+    return gain @ alone, gain @ covariance
+
+
+def distance(alone: Float64, covariance: Float64, std: Float64) -> float:
+    """Return the squared Mahalanobis distance of values from zero; arguments as of `with_prior`."""
+    return float(alone @ np.linalg.solve(covariance + np.diag(std**2), alone))
+
+
+def with_mixture(
+    alone: Float64, covariance: Float64, priors: Sequence[tuple[float, Float64]]
+) -> tuple[Float64, Float64]:
+    """Return the mean (n,) and mean square (n, n) of values whose prior is a mixture of normal ones about zero.
+
+    ``priors`` are the share of each and its standard deviations (n,).
+    """
+    each = [with_prior(alone, covariance, std) for _, std in priors]
+    whole = [np.linalg.slogdet(covariance + np.diag(std**2))[1] + distance(alone, covariance, std) for _, std in priors]
+    weights = softmax(np.log([share for share, _ in priors]) - 0.5 * np.array(whole))
+    squares = [spread + np.outer(mean, mean) for mean, spread in each]
+    return np.einsum("k,ki->i", weights, [mean for mean, _ in each]), np.einsum("k,kij->ij", weights, squares)

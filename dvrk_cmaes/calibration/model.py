@@ -18,7 +18,7 @@ from dvrk_cmaes.calibration.endoscope import Endoscope
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.geometry import Bool, Float64, Posed, adjoint, inverse
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.instrument.arm import OUTER_JOINTS, ROLL_OFFSET, Arm, base_from_root_and_jacobian
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm, base_from_root_and_jacobian
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.pose.terms.tips_term import Expected
 
@@ -94,25 +94,25 @@ class SessionModel:
     arm, roll_offset
         Kinematics of the outer arm, as in `base_from_root`.
     inflation : (N, 1 + J)
-        Factors on the standard deviations of roll and of the instrument's joints in each frame; 1 by default.
+        Factors on the standard deviations of roll and of the instrument's joints in each frame.
     correction
-        What the cables are known to add to the readings of roll and of the instrument's joints; by default nothing.
+        What the cables are known to add to the readings of roll and of the instrument's joints.
+    offset_std : (2 + J,)
+        Standard deviations of the offsets about zero beforehand, m and rad.
     endoscope
         Where an endoscope that moves is in each frame; None for one that stands still.
-    offset_std : (2 + J,)
-        Standard deviations of the offsets about zero beforehand, m and rad; by default nothing is known of them.
     """
 
     outer: Float64
     joints: Float64
     names: tuple[str, ...]
     deviations: Deviations
-    arm: Arm = "classic"
-    roll_offset: float = ROLL_OFFSET
-    inflation: Float64 = field(default_factory=lambda: np.ones((0, 0)))
-    correction: Correction = field(default_factory=lambda: Correction.none(0, 0))
+    arm: Arm
+    roll_offset: float
+    inflation: Float64
+    correction: Correction
+    offset_std: Float64
     endoscope: Endoscope | None = None
-    offset_std: Float64 = field(default_factory=lambda: np.zeros(0))
     _last: dict[bytes, tuple[Float64, Float64]] = field(default_factory=dict, init=False)
 
     @classmethod
@@ -126,28 +126,14 @@ class SessionModel:
     ) -> SessionModel:
         """Return the model of frames, given the readings of each by joint name, rad and m."""
         names = instrument.joint_names
-        return cls(
-            outer_readings(readings),
-            _columns(readings, names),
-            names,
-            Deviations.of(config.session, names),
-            arm=arm,
-            roll_offset=instrument.roll_offset,
-            endoscope=endoscope,
-            offset_std=offset_deviations(config, names),
-        )
-
-    def __post_init__(self) -> None:
-        if not self.inflation.size:
-            object.__setattr__(self, "inflation", np.ones((len(self.outer), 1 + len(self.names))))
-        if not self.correction.values.size:
-            object.__setattr__(self, "correction", Correction.none(*self.joints.shape))
-        if not self.offset_std.size:
-            object.__setattr__(self, "offset_std", np.full(2 + len(self.names), np.inf))
+        joints, deviations = _columns(readings, names), Deviations.of(config.session, names)
+        none, std = Correction.none(*joints.shape), offset_deviations(config, names)
+        read = outer_readings(readings), joints, names, deviations
+        return cls(*read, arm, instrument.roll_offset, np.ones(none.values.shape), none, std, endoscope)
 
     def calibration(self, camera_from_base: Float64, offsets: Float64) -> Calibration:
         """Return that of a base (4, 4), m, and offsets (2 + J,); an endoscope has the values of its start."""
-        found = Calibration((Base(), Offsets(self.offset_std, self.names)), {BASE: camera_from_base, OFFSETS: offsets})
+        found = Calibration((Base(), Offsets(self.offset_std)), {BASE: camera_from_base, OFFSETS: offsets})
         return (
             found if self.endoscope is None else found.with_blocks(self.endoscope.block, endoscope=self.endoscope.start)
         )
@@ -205,6 +191,13 @@ class SessionModel:
             out[:, :count, calibration.place(block.name)] = block.derivative(self, calibration)
         out[:, count:, own:] = np.eye(further)
         return out
+
+    @property
+    def spreads(self) -> dict[str, float]:
+        """Standard deviations from frame to frame by name, for those who correct by the offsets only."""
+        own, off = self.deviations, np.std(self.correction.values, axis=0)
+        outer = np.append(own.outer[:3], np.hypot(own.outer[3], off[0]))
+        return Deviations(outer, np.hypot(own.joints, off[1:]), own.slack).by_name(self.names)
 
     def by_readings(self, calibration: Calibration) -> Float64:
         """Compute the changes (N, 6 + J, 4 + J) of the predictions by the readings of outer joints and joints.

@@ -11,7 +11,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Endoscope
-from dvrk_cmaes.calibration.frame_fit import OF_NEW_FRAME, FrameFit, OwnEstimate, fit_frame
+from dvrk_cmaes.calibration.frame_fit import FrameFit, OwnEstimate, fit_frame
 from dvrk_cmaes.calibration.lag import lag_taken_out
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_masks import covariance_of_margin
@@ -237,7 +237,7 @@ def fit_session_pose(
     predicted = Prediction.of(session, outer, readings.values[None], instrument.joint_names)
     expected = Expected.of(predicted.at[0], predicted.spread[0])
     margin = 0.0 if session.masks is None else session.masks.taken_off
-    refined = partial(fit_frame, views, config, expected, margin=margin, preset=OF_NEW_FRAME)
+    refined = partial(fit_frame, views, config, expected, margin=margin)
     first, _ = refined((predicted.at[0],), None)
     fit, _ = refined((first.at,), OwnEstimate.of(views, first.at))
     of_views, rays = measure_views(views, readings, Posed.stacked([fit.at]), config)

@@ -66,18 +66,16 @@ def doubts_of(
         Whether the mask of each frame that was used lacks the end of a jaw.
     """
     settings = SessionConfig() if config is None else config
-    camera = calibration.camera
+    camera = calibration.blocks.get("camera")
     by_file = camera is None or not camera.applied
-    contradictions = camera.contradictions() if camera is not None and by_file else []
     return (
         *reasons(
             predicts_badly(calibration, LARGEST_PREDICTED_PX * pixel_scale),
             few_frames_agree(calibration),
             few_frames_read(calibration),
         ),
-        *(block.doubt for block in calibration.blocks.values() if block.doubt),
+        *(block.doubt for block in calibration.blocks.values() if block.doubt and not block.applied),
         *known_mistakes(calibration.remarks if by_file else ()),
-        *(f"the camera file is contradicted: {text.partition(': ')[2]}" for text in contradictions),
         *reasons(insertion_off(calibration, settings)),
         *offsets_beyond_cables(calibration),
         *reasons(f"lag between images and readings: {without_lag}" if without_lag and not calibration.lag else None),

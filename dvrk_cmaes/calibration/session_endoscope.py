@@ -8,25 +8,23 @@ from typing import Any, Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.blocks import Calibration
 from dvrk_cmaes.calibration.endoscope import (
     OFFSET_STD,
     Endoscope,
     EndoscopeValues,
     Pieces,
     Place,
+    Row,
     Steered,
     filled,
 )
-from dvrk_cmaes.calibration.model import SessionModel
+from dvrk_cmaes.calibration.session_problem import ArmSession
 from dvrk_cmaes.geometry import Float64, Indices, inverse, log_rotation
 from dvrk_cmaes.instrument.endoscope import STRAIGHT
 from dvrk_cmaes.io.encode import SIGNIFICANT, Document
 from dvrk_cmaes.io.short_text import natural
 from dvrk_cmaes.io.typed_document import Count, Number, Transform, convert_document, read_variances, refused
 from dvrk_cmaes.joints.names import ECM_JOINTS
-
-Row = tuple[Number, ...]
 
 UNDETERMINED_ROTATION: Final = np.deg2rad(5.0)
 """Standard deviation, rad, of the base or the camera in the tip, beyond which a session does not determine it."""
@@ -49,15 +47,6 @@ class Stand:
     end: Number | None = None
 
 
-@dataclass(frozen=True)
-class ReadPlace:
-    """A place by the readings of the endoscope's arm: ``readings``, how far ``within`` these, and their ``error``."""
-
-    readings: Row
-    within: Row
-    error: Row
-
-
 @dataclass(frozen=True, eq=False)
 class SessionEndoscope(Document):
     """An endoscope that moved during a session; m, rad, and readings in the order of the ECM's joints.
@@ -73,7 +62,7 @@ class SessionEndoscope(Document):
     """
 
     bases: tuple[Stand, ...] = ()
-    places: tuple[ReadPlace, ...] = ()
+    places: tuple[Place, ...] = ()
     tip_from_camera: Transform | None = None
     ecm_from_base: Transform | None = None
     std_tip_from_camera: Row = ()
@@ -84,31 +73,16 @@ class SessionEndoscope(Document):
     covariance: Float64 = field(default_factory=lambda: np.zeros((0, 0)), metadata=SIGNIFICANT)
 
     @classmethod
-    def of(
-        cls,
-        model: SessionModel,
-        calibration: Calibration,
-        covariance: Float64,
-        names: Sequence[str],
-        times: Sequence[float | None],
-        further: Float64 | float = 0.0,
-    ) -> SessionEndoscope | None:
-        """Return what was estimated of N frames; None of an endoscope that stands still.
+    def of(cls, arm: ArmSession) -> SessionEndoscope | None:
+        """Return what an arm that is solved shows; None of an endoscope that stands still.
 
-        Parameters
-        ----------
-        model, calibration
-            The session's model of the frames, and its solution.
-        covariance : (K + M, K + M)
-            That of the solution.
-        names, times
-            Names of the frames, and the times of their images, s, None where unknown.
-        further : (K + M, K + M)
-            What errors of the camera and of all masks add to that covariance, which the standard deviations have, too.
+        The standard deviations have what errors of the camera and of all masks add to the covariance, too.
         """
+        model, calibration, covariance = arm.model, arm.calibration, arm.solution.covariance
         endoscope, values, base = model.endoscope, calibration.endoscope, calibration.camera_from_base
         if endoscope is None or values is None:
             return None
+        names, times = [frame.name for frame in arm.frames], [frame.time for frame in arm.frames]
         stands = _stands(model.camera_from_base(calibration), endoscope.place, names, times)
         if not isinstance(endoscope, Steered):
             return cls(stands, covariance=covariance)
@@ -116,15 +90,12 @@ class SessionEndoscope(Document):
         jacobian = np.zeros((6, len(covariance)))  # of the arm's base in the ECM's
         jacobian[:, :6] = np.eye(6)
         ecm_from_base, jacobian[:, count : count + 10] = endoscope.ecm_from_base(values, base)
-        whole = covariance + further
+        whole = covariance + arm.of_camera_and_masks
         std = np.sqrt(np.diag(whole))[count:]
         errors = np.concatenate([np.zeros((1, 4)), values.errors])
         return cls(
             stands,
-            tuple(
-                ReadPlace(_row(one.readings), _row(one.within), _row(error))
-                for one, error in zip(endoscope.places, errors, strict=True)
-            ),
+            tuple(replace(one, error=_row(error)) for one, error in zip(endoscope.places, errors, strict=True)),
             values.tip_from_camera,
             ecm_from_base,
             _row(std[:6]),
@@ -205,8 +176,7 @@ class SessionEndoscope(Document):
             errors = np.array([one.error for one in self.places[1:]]).reshape(-1, 4)
             offsets = np.array([self.offsets[name] for name in ECM_JOINTS])
             steered = EndoscopeValues.read(self.tip_from_camera, self.expected, offsets, errors)
-            places = tuple(Place(np.array(one.readings), np.array(one.within)) for one in self.places)
-            return Steered(steered, steered.std, filled(read), places)
+            return Steered(steered, steered.std, filled(read), self.places)
         of_place = {one.place: one.camera_from_base for one in self.bases}
         moves = [of_place[k] @ inverse(camera_from_base) for k in range(1, self.last_place + 1)]
         values = EndoscopeValues.of_pieces(np.array(moves).reshape(-1, 4, 4))

@@ -232,20 +232,19 @@ def camera_remarks(stored: StoredFrame) -> tuple[str, ...]:
     return (*stored.camera.remarks, *of_views)
 
 
-def changed(camera: Camera, change: Float64, width: int | None = None) -> Camera:
-    """Return a camera after a change (3,): the logarithm of the focal length's factor, and the shift of the centre, px.
+def changed(camera: Camera, change: Float64) -> Camera:
+    """Return a camera after a change (3,): the logarithm of the focal length's factor, and the centre's shift over it.
 
-    The shift is in images of ``width`` px, by default the camera's own. InputError as `Camera.changed`.
+    InputError as `Camera.changed`.
     """
-    size = 1.0 if width is None else camera.width / width
-    return camera.changed(float(np.exp(change[0])), (size * float(change[1]), size * float(change[2])))
+    right, down = (camera.fx * change[1:]).tolist()
+    return camera.changed(float(np.exp(change[0])), (right, down))
 
 
 def restored_views(body: Body, stored: StoredFrame, change: Float64 | None = None) -> list[FrameView]:
     """Restore the evidence of a frame's views, and make their renderers, with changed cameras if there is a change."""
-    if change is None:
-        return [view.restored(body) for view in stored.views]
-    return [view.restored(body, changed(view.evidence.camera, change, stored.camera.width)) for view in stored.views]
+    none = np.zeros(3) if change is None else change
+    return [view.restored(body, changed(view.evidence.camera, none)) for view in stored.views]
 
 
 def gather_task(
@@ -260,7 +259,7 @@ def gather_task(
     data = frame.data if isinstance(frame.data, FrameData) else frame.data()
     views = turned_views(data.views, turns)
     if change is not None:
-        views = tuple(replace(view, camera=changed(view.camera, change, data.camera.width)) for view in views)
+        views = tuple(replace(view, camera=changed(view.camera, change)) for view in views)
     own = posed(frame.result, body.instrument.joint_names)
     data = replace(data, views=views)
     return StoredFrame.of(data, own, body, config, frame.keypoints, features=not frame.brief)

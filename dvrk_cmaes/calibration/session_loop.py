@@ -30,7 +30,14 @@ from dvrk_cmaes.calibration.frame_fit import starts_of
 from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, in_common
 from dvrk_cmaes.calibration.linearise import linearise
 from dvrk_cmaes.calibration.model import Deviations, SessionModel, ecm_readings, frames_alike, outer_readings
-from dvrk_cmaes.calibration.session_camera import CAMERA, IMPLAUSIBLE, Lens, camera_undetermined, check_camera
+from dvrk_cmaes.calibration.session_camera import (
+    CAMERA,
+    IMPLAUSIBLE,
+    Lens,
+    camera_undetermined,
+    check_camera,
+    describe_found,
+)
 from dvrk_cmaes.calibration.session_frame import SessionFrame, fit_task, gather_task
 from dvrk_cmaes.calibration.session_masks import estimate_margin
 from dvrk_cmaes.calibration.session_problem import LEAST_FRAMES, Arms, ArmSession, ArmSetup
@@ -306,12 +313,13 @@ def checked(arms: Arms) -> Arms:
     for arm, check in zip(arms, checks, strict=True):
         masks = arm.masks if check.of_margin is None else check.of_margin.stated(arm.masks)
         arm = replace(arm, check=check, masks=masks)
-        if check.camera is None:
+        camera = check.blocks.get(CAMERA)
+        if camera is None:
             arm = arm.noted(undetermined=[check.undetermined])
         elif arm.setup.guessed_camera:
-            arm = arm.noted(remarks=[check.camera.describe_found(arm.stored[0].camera)])
-        elif check.camera.applied:
-            arm = arm.noted(remarks=check.camera.contradictions())
+            arm = arm.noted(remarks=[describe_found(camera, arm.stored[0].camera)])
+        elif camera.applied and camera.doubt:
+            arm = arm.noted(remarks=[camera.doubt])
         out.append(arm if arm.change is None else _with_evidence(arm))
     return out
 

@@ -11,15 +11,14 @@ from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.special import softmax
 
 from dvrk_cmaes.calibration.blocks import Calibration, OutlineOfView, SeenBlock, ViewAsSeen
-from dvrk_cmaes.calibration.linearise import ArmOutlines, Linearised, linearise
+from dvrk_cmaes.calibration.linearise import ArmOutlines, Linearised, linearise, with_mixture
 from dvrk_cmaes.calibration.solve import marginalise
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.io.encode import Document
-from dvrk_cmaes.io.typed_document import Number, refused
+from dvrk_cmaes.io.typed_document import Number
 from dvrk_cmaes.pose.terms.coverage import of_margin
 
 MARGIN: Final = "margin"
@@ -41,11 +40,7 @@ class MaskMargin(SeenBlock):
 
     def __init__(self, start: float = 0.0) -> None:
         super().__init__(MARGIN, np.array([_STD]), np.array([start]))
-
-    @property
-    def least_std(self) -> Float64:
-        """Standard deviation (1,), px, by which margins of parts of one recording differ."""
-        return np.array([_LEAST_STD])
+        self.least_std = np.array([_LEAST_STD])
 
     def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
         """Return a view whose mask has the margin."""
@@ -71,10 +66,7 @@ class MarginEffect(NamedTuple):
     def of(cls, there: Linearised) -> MarginEffect:
         """Return it by outlines that were linearised with the margin among the blocks."""
         calibration, count = there.solution.calibration, there.solution.calibration.own
-        place, information = calibration.place(MARGIN), there.information
-        of_calibration = np.asarray(
-            np.linalg.solve(information[:count, :count], information[:count, place]), np.float64
-        )
+        place, of_calibration = calibration.place(MARGIN), -there.moved_by(MARGIN)
         frames = marginalise(there.model, there.fits, calibration)
         by_all = frames.gain @ there.model.jacobian(calibration)
         of_frames = by_all[:, :, :count] @ of_calibration - by_all[:, :, place]
@@ -112,19 +104,6 @@ class SessionMasks(Document):
         """Margin, px, that was taken off the masks."""
         return self.margin_px if self.applied else 0.0
 
-    def check(self, where: str, unknowns: int) -> None:
-        """Raise `InputError` unless what the margin does is of a calibration with some unknowns.
-
-        Parameters
-        ----------
-        where
-            Where the document is from, for messages.
-        unknowns
-            Number of the calibration's unknowns, K.
-        """
-        if len(self.by_margin) not in (0, unknowns):  # where nothing was estimated there is none
-            raise refused(where, "masks.by_margin", f"{unknowns} numbers", self.by_margin)
-
     def after(self, change: Float64) -> SessionMasks:
         """Return the same for a calibration that is a linear function (K', K) of this session's.
 
@@ -153,8 +132,9 @@ def estimate_margin(
     there, moved = linearise(arms, config, [MARGIN], passes=_PASSES), []
     place, camera = there[0].solution.calibration.place(MARGIN), arms[0].camera
     shown, spread = there[0].with_std({MARGIN: _FREE})
-    alone, square = shown[place].item(), spread[place, place].item() + _LEAST_STD**2
-    px, std = _posterior(alone, square, _USUAL_STD * camera.pixel_scale)
+    priors = (1 - _WIDE_SHARE, np.array([_USUAL_STD * camera.pixel_scale])), (_WIDE_SHARE, np.array([_STD]))
+    mean, square = with_mixture(shown[place], spread[place, place] + _LEAST_STD**2, priors)
+    px, std = mean.item(), float(np.sqrt(square.item() - mean.item() ** 2))
     for one, arm in zip(there, arms, strict=True):
         held = {block.name: _HELD * block.std for block in arm.blocks if block.name != MARGIN}
         at_file = one.solution.calibration
@@ -162,19 +142,6 @@ def estimate_margin(
         poses = marginalise(one.model, one.fits, at_file).own
         moved.append((at_file.alone(), one.fits.at.moved(poses)))
     return SessionMasks(px, std, applied=True), moved
-
-
-def _posterior(alone: float, square: float, usual: float) -> tuple[float, float]:
-    """Return mean and standard deviation, px, of a margin that frames alone estimate with a mean square error, px^2.
-
-    The prior is a mixture of two normal distributions about zero, as some segmenters' margins are far wider than those
-    of most: of ``usual`` px in most sessions.
-    """
-    priors, shares = np.array([usual, _STD]) ** 2, np.array([1 - _WIDE_SHARE, _WIDE_SHARE])
-    weights = softmax(np.log(shares) - 0.5 * (np.log(priors + square) + alone**2 / (priors + square)))
-    gains = priors / (priors + square)
-    mean = float(weights @ (gains * alone))
-    return mean, float(np.sqrt(weights @ (gains * square + (gains * alone - mean) ** 2)))
 
 
 def covariance_of_margin(masks: SessionMasks | None, own: Float64, by_calibration: Float64 | None = None) -> Float64:

@@ -165,6 +165,11 @@ class ArmSession:
         return np.full(len(self.frames), np.nan) if read is None else read
 
     @property
+    def stated_settings(self) -> dict[str, Any]:
+        """The settings as results state them, with the limits of the instrument's joints."""
+        return {**self.setup.config.as_dict(), "instrument": self.setup.instrument.describe_limits(self.setup.arm)}
+
+    @property
     def taken_off(self) -> float:
         """Margin, px, that is taken off all masks."""
         return 0.0 if self.masks is None else self.masks.taken_off

@@ -132,9 +132,7 @@ def found_sizes(there: Linearised, known: Mapping[str, Float64 | float]) -> Foun
             than = more if off > 0 else less
             doubts.append(f"{what} {abs(off):.0f} % (std {own:.0f}) {than} than the instrument's")
     text, doubt = f"sizes of the instrument: {', '.join(parts)}", f"{' and '.join(doubts)}: {OTHER_SIZES}"
-    prior_std = (_WEAK_STD,) * len(_LEAST)
-    found_there = tuple(values.tolist()), tuple(std.tolist())
-    return FoundBlock(tuple(_LEAST), *found_there, prior_std, text, doubt if doubts else "")
+    return FoundBlock.of(tuple(_LEAST), (values, std, np.full(len(_LEAST), _WEAK_STD)), text, doubt if doubts else "")
 
 
 def square_of_whole(found: FoundBlock, std: float) -> float:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from dvrk_cmaes.calibration.calibrate import SolvedSession, begin_arm
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.session_camera import of_the_camera_found
 from dvrk_cmaes.calibration.session_frame import SessionFrame
 from dvrk_cmaes.calibration.session_problem import ArmSetup
 from dvrk_cmaes.calibration.together import Begun
@@ -105,8 +106,10 @@ def _written(
     corrected = Rig(solved.calibration.corrected_views(session.rig.views))
     calibration = replace(solved.calibration, views=tuple(ViewDocument.of(view) for view in corrected.views))
     # the camera that was found is the session's from here on
-    if session.guessed and calibration.camera is not None:
-        calibration = replace(calibration, camera=calibration.camera.of_the_camera_found())
+    camera = calibration.blocks.get("camera")
+    if session.guessed and camera is not None:
+        known = of_the_camera_found(camera, corrected.views[0].camera)
+        calibration = replace(calibration, blocks={**calibration.blocks, "camera": known})
         session = replace(session, rig=corrected)
     solved = replace(solved, calibration=calibration)
     left_out = solved.leave_one_out
@@ -143,8 +146,8 @@ def _with_mask(files: FrameFiles, alone: Path) -> FrameFiles:
 
 def write_cameras(calibration: SessionCalibration, rig: Rig, out: Path) -> None:
     """Write the cameras with which a session was solved, where they are not those of its files, for raw images."""
-    refined = calibration.camera is not None and calibration.camera.applied
-    if not refined and not any(view.applied for view in calibration.rig):
+    camera = calibration.blocks.get("camera")
+    if not (camera and camera.applied) and not any(view.applied for view in calibration.rig):
         return
     first, *others = calibration.corrected_views(rig.views)
     write_text(out / (f"{first.name}.yaml" if others else CAMERA), view_info_text(first, "refined"))

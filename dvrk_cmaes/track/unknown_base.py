@@ -16,7 +16,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.blocks import BASE_AXES, OUTER_OFFSETS
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.model import Deviations, SessionModel, offset_deviations
+from dvrk_cmaes.calibration.model import SessionModel, offset_deviations
 from dvrk_cmaes.calibration.prediction import FoundLag
 from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.errors import InputError
@@ -51,10 +51,8 @@ def wide_calibration(at: Posed, covariance: Float64, reading: ReadingAt, given: 
     instrument, arm, config = given.instrument, given.arm, given.config
     names = instrument.joint_names
     offsets = np.concatenate([[0.0, 0.0], at.joints - np.nan_to_num(reading.joints)])
-    spread = Deviations.of(config.session, names)
-    model = SessionModel(
-        reading.outer[None], reading.joints[None], names, spread, arm=arm, roll_offset=instrument.roll_offset
-    )
+    read = dict(zip((*OUTER_JOINTS, *names), [*reading.outer.tolist(), *reading.joints.tolist()], strict=True))
+    model = SessionModel.of([read], instrument, config, arm)
     base = np.asarray(at.pose @ inverse(model.base_from_root(offsets)[0]))
     jacobian = model.jacobian(model.calibration(base, offsets))[0]
     before = np.diag([_BASE_STD[0] ** 2] * 3 + [_BASE_STD[1] ** 2] * 3 + [*offset_deviations(config, names) ** 2])
@@ -68,7 +66,7 @@ def wide_calibration(at: Posed, covariance: Float64, reading: ReadingAt, given: 
         axes=(*BASE_AXES, *OUTER_OFFSETS, *names),
         covariance=after,
         covariance_given_camera=after,
-        spreads=spread.by_name(names),
+        spreads=model.spreads,
         arm=arm,
         roll_offset=instrument.roll_offset,
         iou=_USUAL_IOU,

@@ -261,8 +261,8 @@ def calibration_figures(found: Document | None, golden: Document) -> dict[str, A
         row |= {"base, deg": base.rotation_deg, "base, mm": base.error_mm, "base / std": float(np.abs(ratios).max())}
     row["lag"] = None if found["lag"] is None else found["lag"]["frames"]
     row["doubts"] = "; ".join(text.split(":")[0] for text in found["doubts"]) or "-"
-    camera = found["camera"]
-    row["camera contradicted"] = camera is not None and camera["contradicts"]
+    camera = found["blocks"].get("camera")
+    row["camera contradicted"] = camera is not None and bool(camera["doubt"])
     own, truth = found["endoscope"], golden.get("endoscope")
     if own and truth and own.get("tip_from_camera") is not None:
         for name in ("tip_from_camera", "ecm_from_base"):

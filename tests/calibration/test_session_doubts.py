@@ -13,7 +13,7 @@ from helpers.session_worlds import SMALL, make_frames_in_memory
 from dvrk_cmaes import Body, FrameData, SessionCalibration, SessionFrame, TrackResult, calibrate_session
 from dvrk_cmaes.calibration.document import Agreement
 from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG
-from dvrk_cmaes.calibration.session_camera import SessionCamera
+from dvrk_cmaes.calibration.session_camera import stated_camera
 from dvrk_cmaes.calibration.session_doubts import (
     bad_predictions,
     doubts_of,
@@ -27,7 +27,7 @@ from dvrk_cmaes.synth.truth import Truth
 
 FRAMES = ("0000", "0001", "0002")
 BADLY = {"0000": Agreement(0.62, 9.0), "0001": Agreement(0.66, 8.0)}
-LONGER = SessionCamera(1.2, 0.02, (0.0, 0.0), (6.0, 7.0), contradicts=True, applied=False, width=640)
+LONGER = (np.array([np.log(1.2), 0.0, 0.0]), np.diag([0.017, 0.006, 0.007]) ** 2, np.array([0.01, 0.01, 0.01]))
 PREDICTS = "this calibration predicts frames badly that it has not seen: IoU 0.64 by the other frames, 0.95 by their "
 
 
@@ -71,10 +71,14 @@ def test_few_frames_that_agree_are_a_doubt() -> None:
 
 
 def test_contradicted_camera_is_a_doubt_unless_it_is_put_right() -> None:
-    (text,) = doubts_of(session(camera=LONGER))
+    def doubts(applied: bool, factor: float = 1.0) -> tuple[str, ...]:
+        found = stated_camera(factor * LONGER[0], *LONGER[1:], SMALL, applied=applied)
+        return doubts_of(session(blocks={"camera": found}))
+
+    (text,) = doubts(applied=False)
     assert text.startswith("the camera file is contradicted: these frames fit a focal length 20.0 % (std 2.0) longer")
-    assert doubts_of(session(camera=replace(LONGER, applied=True))) == ()
-    assert doubts_of(session(camera=replace(LONGER, contradicts=False))) == ()
+    assert doubts(applied=True) == ()
+    assert doubts(applied=False, factor=0.1) == ()
 
 
 @pytest.mark.parametrize(
@@ -126,8 +130,7 @@ def without_ends(truth: Truth, frame: SessionFrame) -> FrameData:
 def test_known_mistake_of_the_camera_file_is_a_doubt_unless_another_camera_is_used() -> None:
     remarks = (f"{WRONG}fx 800 and fy 920 are 13 % apart", "camera file: focal lengths 200 and 200 px")
     assert doubts_of(session(remarks=remarks)) == remarks[:1]
-    refined = replace(LONGER, applied=True)
-    assert doubts_of(session(remarks=remarks, camera=refined)) == ()
+    assert doubts_of(session(remarks=remarks, blocks={"camera": stated_camera(*LONGER, SMALL, applied=True)})) == ()
 
 
 def test_results_that_rest_on_a_doubtful_session_are_doubtful_for_its_reasons() -> None:

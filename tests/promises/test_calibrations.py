@@ -106,7 +106,7 @@ def test_camera_of_another_zoom_is_doubted_and_so_is_all_that_rests_on_it(
     document = json.loads((tmp_path / "out" / "session.json").read_text())
     assert (ran.code, document["status"]) == (3, "doubtful")
     assert any("camera file is contradicted" in doubt for doubt in document["doubts"])
-    assert document["camera"]["focal_scale"] > 1.1
+    assert document["blocks"]["camera"]["values"][0] > np.log(1.1)
     for result in results(tmp_path / "out").values():
         assert result["status"] == "doubtful"
         assert any(reason.startswith("session: ") for reason in result["reasons"])
