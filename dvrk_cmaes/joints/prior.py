@@ -124,25 +124,17 @@ _WIDER: Final = 2.0
 """Factor on the standard deviations of commanded joints, that of their readings and that from frame to frame."""
 
 
-def commanded_joints(outer: Float64, joints: Float64, names: Sequence[str]) -> list[str]:
-    """Return the joints whose readings (N, J) never change while those of the outer joints (N, 4) do; NaN for none."""
-    known = outer[~np.isnan(outer).any(axis=1)]
-    moving = len(known) > 0 and np.ptp(known, axis=0).max() > _MOVES
-    out = []
-    for name, values in zip(names, joints.T, strict=True):
-        read = values[~np.isnan(values)]
-        if moving and len(read) >= _LEAST_FRAMES and np.ptp(read) < _SAME:
-            out.append(name)
-    return out
-
-
 def commanded_in(readings: Sequence[Mapping[str, float]], names: Sequence[str]) -> list[str]:
-    """Return the commanded ones among some joints, as `commanded_joints`, given the readings of frames by joint."""
-    outer, joints = (
-        np.array([[own.get(name, np.nan) for name in wanted] for own in readings]).reshape(len(readings), len(wanted))
-        for wanted in (OUTER_JOINTS, names)
-    )
-    return commanded_joints(outer, joints, names)
+    """Return the joints among some whose readings never change in frames while those of the outer joints do.
+
+    ``readings`` are those of the frames, by joint.
+    """
+    rows = [[own.get(name, np.nan) for name in OUTER_JOINTS] for own in readings]
+    outer = np.array([row for row in rows if not np.isnan(row).any()])
+    if not len(outer) or np.ptp(outer, axis=0).max() <= _MOVES:
+        return []
+    found = {name: [value for own in readings if (value := own.get(name, np.nan)) == value] for name in names}
+    return [name for name, read in found.items() if len(read) >= _LEAST_FRAMES and np.ptp(read) < _SAME]
 
 
 def describe_commanded(commanded: Sequence[str]) -> str:
