@@ -90,10 +90,7 @@ class Comparison:
 
         None if the reference is not the truth, or no frame states it.
         """
-        if self.sets[self.reference].kind != "truth":
-            return None
-        frames = self.sets[index].frames
-        known = [(d.farthest_tip_mm, frames[name].tip_90_mm) for name, d in self.differences[index].items()]
+        known = [(d.farthest_tip_mm, frame.tip_90_mm) for d, frame in self._from_truth(index)]
         stated = [error <= limit for error, limit in known if error is not None and limit is not None]
         return (sum(stated), len(stated)) if stated else None
 
@@ -102,12 +99,15 @@ class Comparison:
 
         None if the reference is not the truth, or no frame states it.
         """
-        if self.sets[self.reference].kind != "truth":
-            return None
-        frames = self.sets[index].frames
-        known = [(d.tip_mm, frames[name].tip_std_mm) for name, d in self.differences[index].items()]
+        known = [(d.tip_mm, frame.tip_std_mm) for d, frame in self._from_truth(index)]
         ratios = np.array([error / std for error, std in known if error is not None and std])
         return (int((ratios <= 1).sum()), int((ratios <= 2).sum()), len(ratios)) if len(ratios) else None
+
+    def _from_truth(self, index: int) -> Iterator[tuple[PoseError, ComparedFrame]]:
+        """Yield the differences of a set with its frames; none if the reference is not the truth."""
+        if self.sets[self.reference].kind == "truth":
+            for name, difference in self.differences[index].items():
+                yield difference, self.sets[index].frames[name]
 
     def sets_table(self) -> Table:
         """Return a row for each set: its label and path, what it is, numbers of frames by status, and overlap."""
