@@ -1,9 +1,4 @@
-"""Series of joint readings over time, their interpolation at the times of images, and what is known in gaps.
-
-A rule for gaps gets times (L,), and for each the times (L,) of the readings before (or at) and at (or after) it, all in
-one unit. Of times before the first reading or after the last, these are the two readings at that end; of a series of
-one reading, both are that one. A rule returns whether readings are known at the times, (L,).
-"""
+"""Series of joint readings over time, their interpolation at the times of images, and what is known in gaps."""
 
 from __future__ import annotations
 
@@ -18,25 +13,6 @@ from numpy.typing import NDArray
 from dvrk_cmaes.geometry import Bool, Float64, Indices
 
 Times = NDArray[np.int64] | Float64
-Known = Bool
-Gaps = Callable[[Times, Times, Times], Known]
-
-
-def known_where(*, away: float = np.inf, apart: float = np.inf, beyond: float = 0.0) -> Gaps:
-    """Return the rule that readings are known between two that are at most ``apart``, both at most ``away``.
-
-    They are known up to ``beyond`` before the first reading and after the last, too, and at the times of readings.
-    """
-
-    def known(times: Times, earlier: Times, later: Times) -> Known:
-        farther = np.maximum(times - earlier, later - times)
-        outside = np.maximum(earlier - times, times - later)
-        inside = (outside <= 0) & (farther <= away) & (later - earlier <= apart)
-        at_one = (times == earlier) | (times == later)
-        return np.asarray(inside | at_one | ((outside > 0) & (outside <= beyond)))
-
-    return known
-
 
 NANOSECONDS = 1_000_000_000
 """Nanoseconds in a second. Times are integers, because a float of seconds since 1970 has a resolution of 200 ns."""
@@ -80,11 +56,11 @@ class TimedReadings:
         increasing, last = np.unique(stamps[::-1], return_index=True)
         return cls(joints, increasing, table[::-1][last], source)
 
-    def at(self, times: Times, gaps: Gaps, curve: Curve, rate: Float64 | None = None) -> Float64:
-        """Interpolate the readings at times (L,), (L, J), NaN where they are not `known`.
+    def at(self, times: Times, curve: Curve, rate: Float64 | None = None, **gaps: float) -> Float64:
+        """Interpolate the readings at times (L,), (L, J), NaN where they are not `known` by some ``gaps``.
 
-        Where ``gaps`` allow times beyond the ends, the reading at the end is held, or changes by ``rate`` (J,) per
-        unit of time; a joint whose rate is NaN is not known at any time.
+        Beyond the ends, where they are known, the reading at the end is held, or changes by ``rate`` (J,) per unit of
+        time; a joint whose rate is NaN is not known at any time.
         """
         if not len(self.times):
             return np.full((len(times), len(self.joints)), np.nan)
@@ -92,15 +68,22 @@ class TimedReadings:
         if rate is not None:
             beyond = np.minimum(times - self.times[0], 0) + np.maximum(times - self.times[-1], 0)
             found += beyond[:, None] * rate
-        found[~self.known(times, gaps)] = np.nan
+        found[~self.known(times, **gaps)] = np.nan
         return found
 
-    def known(self, times: Times, gaps: Gaps) -> Bool:
-        """Whether readings are known at times (L,) by a rule for gaps, (L,); a known row may still have NaN."""
+    def known(self, times: Times, *, away: float = np.inf, apart: float = np.inf, beyond: float = 0.0) -> Bool:
+        """Whether readings are known at times (L,), (L,); a known row may still have NaN.
+
+        They are known between two that are at most ``apart``, both at most ``away``, up to ``beyond`` before the first
+        and after the last, and at the times of readings.
+        """
         if not len(self.times):
             return np.zeros(len(times), np.bool_)
         before, after = self.around(times)
-        return gaps(times, self.times[before], self.times[after])
+        earlier, later = self.times[before], self.times[after]
+        outside = np.maximum(earlier - times, times - later)
+        inside = (outside <= 0) & (np.maximum(times - earlier, later - times) <= away) & (later - earlier <= apart)
+        return np.asarray(inside | (times == earlier) | (times == later) | ((outside > 0) & (outside <= beyond)))
 
     @cached_property
     def spacing(self) -> float:

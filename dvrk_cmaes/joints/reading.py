@@ -18,7 +18,7 @@ from dvrk_cmaes.errors import InputError, nearest_first, one_line
 from dvrk_cmaes.io.files import read_bytes, text_of
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.csv_table import EXPECTED, LEAST, read_joint_csv, read_plain_table
-from dvrk_cmaes.joints.interpolation import NANOSECONDS, known_where, weighted_mean
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, weighted_mean
 from dvrk_cmaes.joints.joint_state import is_joint_state, read_joint_state
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.names import accepted_names, check_joint, joint_reading, joints_by_count
@@ -236,13 +236,13 @@ def _interpolated(file: JointFile, frame: str, time: int, tolerance: int) -> tup
         # those that a robot sends five times a second are thus interpolated as those of a faster one are
         most = tolerance if len(timed.times) < 4 else max(tolerance, round(1.5 * timed.spacing))
         nearest, farther = (int(distance[0]) for distance in timed.distances(at))
-        if not timed.known(at, gaps := known_where(away=most)):
+        if not timed.known(at, away=most):
             raise NoneNearError(
                 f"{file.path}: frame {frame}: {timed.joints[0]}: expected readings before and after the image's time "
                 f"{time / NANOSECONDS:.3f} s, within {most / NANOSECONDS:g} s, got the nearest "
                 f"{nearest / NANOSECONDS:.3f} s away"
             )
-        found |= zip(timed.joints, timed.at(at, gaps, weighted_mean)[0].tolist(), strict=True)
+        found |= zip(timed.joints, timed.at(at, weighted_mean, away=most)[0].tolist(), strict=True)
         farthest = max(farthest, farther)
     return found, farthest
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, known_where, smooth_spline, straight_line
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, smooth_spline, straight_line
 from dvrk_cmaes.joints.lag import Lag, Unit
 from dvrk_cmaes.joints.rows import NO_TIME, JointFile, number_of
 
@@ -54,8 +54,8 @@ class ReadingSeries:
         for k, name in enumerate(names):
             if name in self.times:
                 readings = TimedReadings((name,), self.times[name], self.values[name][:, None])
-                gaps, curve = known_where(apart=self._gaps[name]), smooth_spline if smoothed else straight_line
-                out[:, k] = readings.at(times, gaps, curve)[:, 0]
+                curve = smooth_spline if smoothed else straight_line
+                out[:, k] = readings.at(times, curve, apart=self._gaps[name])[:, 0]
         return out
 
     @cached_property

@@ -45,7 +45,7 @@ from dvrk_cmaes.io.json_file import read_json, read_json_object
 from dvrk_cmaes.io.parquet_file import field_names, read_columns
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.io.yaml_file import yaml_text
-from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, known_where, weighted_mean
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, weighted_mean
 from dvrk_cmaes.joints.names import ECM_JOINTS, joint_reading, joints_by_count
 from dvrk_cmaes.joints.times import parse_stamp, parse_time
 from dvrk_cmaes.recording.camera import read_camera_bytes
@@ -379,5 +379,5 @@ def at_images(
         )
     own, at = np.array(list(values.values())), np.array([images[number] for number in values], dtype=np.int64)
     series = TimedReadings.of(source, joints, [taken[number] for number in values], own)
-    found = series.at(at, known_where(away=_WIDEST_GAP), weighted_mean)
+    found = series.at(at, weighted_mean, away=_WIDEST_GAP)
     return TimedReadings.of(source, joints, at, np.where(np.isnan(found), own, found))

@@ -32,7 +32,7 @@ from dvrk_cmaes.io.image_header import PNG, read_header
 from dvrk_cmaes.io.json_file import write_text
 from dvrk_cmaes.io.output import whole_folder, write_bytes
 from dvrk_cmaes.io.short_text import listed, natural
-from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, known_where, weighted_mean
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, weighted_mean
 from dvrk_cmaes.joints.lag import LARGEST_SECONDS, Lag
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.recording.messages import encode_png
@@ -278,7 +278,7 @@ def _interpolate(
     path: Path, readings: Sequence[TimedReadings], times: Sequence[int], tolerance: int
 ) -> tuple[list[list[str]], tuple[str, ...], tuple[InterpolationSummary, ...]]:
     """Interpolate all readings; return the cells of each frame, the column names and a summary for each source."""
-    at, gaps = np.array(times, dtype=np.int64), known_where(away=tolerance)
+    at = np.array(times, dtype=np.int64)
     columns, parts, summaries = list[str](), [np.empty((len(times), 0))], []
     for source in readings:
         repeated = [name for name in source.joints if name in columns]
@@ -288,7 +288,7 @@ def _interpolate(
                 "(leave a topic out by --jaw-topic none)"
             )
         nearest, farther = (each / NANOSECONDS for each in source.distances(at))
-        values = source.at(at, gaps, weighted_mean)
+        values = source.at(at, weighted_mean, away=tolerance)
         known = np.isfinite(values).any(axis=1)
         used, missed = farther[known].tolist(), nearest[~known].tolist()
         limits = max(used, default=None), min(missed, default=None)

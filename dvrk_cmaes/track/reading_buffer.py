@@ -17,7 +17,7 @@ from dvrk_cmaes.evidence.quantiles import median
 from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.arguments import check_type, checked_number
-from dvrk_cmaes.joints.interpolation import Sparseness, TimedReadings, Times, known_where, weighted_mean
+from dvrk_cmaes.joints.interpolation import Sparseness, TimedReadings, Times, weighted_mean
 from dvrk_cmaes.joints.names import ECM_JOINTS, READINGS, check_readings
 
 _KEPT = 3.0  # s; older readings are dropped
@@ -151,8 +151,7 @@ class ReadingBuffer:
             spacing = _usual_spacing(series.times)
             rate[columns] = of_series = _rate(series, time, max(_RATE_HALF_WIDTH, _RATE_SPACINGS * spacing))
             gap = max(self._gap, _GAP_SPACINGS * spacing)
-            gaps = known_where(apart=gap, beyond=gap)
-            row[columns] = series.at(np.array([time]), gaps, weighted_mean, of_series)[0]
+            row[columns] = series.at(np.array([time]), weighted_mean, of_series, apart=gap, beyond=gap)[0]
         still, sparse = False, None
         if recent.keys() >= set(OUTER_JOINTS):
             of_outer = _at_common_times([recent[name] for name in OUTER_JOINTS])
