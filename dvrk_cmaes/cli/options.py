@@ -216,6 +216,11 @@ class UrdfOptions(InstrumentOptions):
 
     Parameters
     ----------
+    instrument
+        Bundled instrument by name (lnd, prograsp, maryland, mega_needle_driver, cautery_hook) or number (400093), or
+        path of a URDF. By default lnd.
+    arm
+        Arm whose kinematics are used to compute camera_from_base: classic, as by default, or si.
     package_path
         NAME=DIR: folder of the ROS package NAME, for package://NAME/... paths in the URDF. Other packages are searched
         for in the URDF's folder and its parents. May be given several times.
