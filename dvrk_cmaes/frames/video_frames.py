@@ -160,7 +160,10 @@ class Video:
         return parts[layout]
 
 
-_video_of = lru_cache(maxsize=4)(Video)
+@lru_cache(maxsize=4)
+def _video_of(path: Path) -> Video:
+    """Return the video of a file, which is opened once: the cache of the class itself could not be pickled."""
+    return Video(path)
 
 
 def _is_like(part: Window, camera: Camera) -> bool:

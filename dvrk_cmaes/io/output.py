@@ -35,6 +35,7 @@ LONG: Final = 600.0
 _LOOKED_EVERY: Final = 0.02  # s
 _END: Final = b"\n }\n}\n"  # of run.json, whose last field has the files
 _IGNORED: Final = (RUN, HELD, ".DS_Store", "Thumbs.db", "desktop.ini")  # file managers write theirs unasked
+_TRIES: Final = 100  # to make a folder that another command may remove; in some places, as /proc, none can be made
 _TEMPORARY: Final = re.compile(r"\.[0-9a-f]{32}\.tmp(\.\w+)?")
 _NEW: Final = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
 RENAME_EXCHANGE, _HERE = 2, -100  # of renameat2(2); AT_FDCWD
@@ -393,11 +394,13 @@ def output(
     place = Path(os.path.abspath(path))
     with contextlib.ExitStack() as opened:
         with _writing(path, "results"):
+            tries = 0
             while (out := _opened.outputs.get(place)) is None:
+                tries += 1
                 above, name = _nearest(path)
                 if above is not None:
                     above.reached(name)
-                with contextlib.ExitStack() as attempt, contextlib.suppress(FileNotFoundError):
+                with contextlib.ExitStack() as attempt, contextlib.suppress(*[FileNotFoundError] * (tries < _TRIES)):
                     attempt.enter_context(_made(path))  # which another command may remove that wrote nothing
                     _opened.outputs[place] = own = Output(path, command, wait)
                     opened.push(attempt.pop_all())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 import shutil
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from helpers.commands import run_command
 from helpers.files import read_tracks, write_image
 from helpers.made_recordings import ARM, BEGIN, SECOND, camera_info, image, jaw, joints, write_bag
 from helpers.moving_worlds import SMALL, MovingWorld, drawn, moving_world
+
+from dvrk_cmaes.frames.video_frames import Video
 
 FRAMES = 6
 CAMERA = f"""image_width: {SMALL.width}
@@ -58,6 +61,12 @@ def session(world: MovingWorld, images: list[np.ndarray], tmp_path_factory: pyte
     (folder / "film.avi").rename(folder / "video.mp4")
     write_image(folder / "first.png", world.masks[0])
     return folder
+
+
+def test_video_is_sent_to_another_process(session: Path) -> None:
+    video = Video(session / "video.mp4")
+    sent = pickle.loads(pickle.dumps(video))
+    assert np.array_equal(sent.image(3), video.image(3))
 
 
 def error_mm(world: MovingWorld, row: dict[str, object], frame: int) -> float:

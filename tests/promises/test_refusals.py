@@ -124,6 +124,7 @@ WORDS: dict[str, tuple[list[object], str]] = {
     "label": (estimate_with(label="9"), r".*0001\.png: .*label 9|.*label.*9"),
     "package path": (estimate_with(package_path="a"), r"--package-path: expected NAME=DIR"),
     "no results": (["export", DEMO / "masks", "--to", "csv", "--out", "out"], r".*masks: expected"),
+    "no place": (["batch", DEMO, "--out", "/proc/none"], r"/proc/none: not written \(No such file"),
     "inspect": (["inspect", "nothere"], r"nothere: no such"),
     "import": (["import", "nothere.bag", "--out", "out"], r"nothere\.bag: no such file; expected a ROS recording"),
     "synth": (["synth", "out", "--frames", "0"], r"--frames: .*1 to 100000|.*frames.*0"),
