@@ -330,7 +330,7 @@ def _described(
         camera.rectified,
         output.overlay,
         origin=time.time_ns(),
-        process=lambda start: Pool(start, 1).begin(),
+        process=lambda: Pool(int, 1).begin(),
     )
 
 

@@ -143,14 +143,15 @@ class TrackOptions:
         from dvrk_cmaes.runs.frame import hints_of
         from dvrk_cmaes.runs.track import TrackedArm, TrackSettings
         from dvrk_cmaes.runs.track_inputs import used_session, with_first_mask, with_increasing_times
-        from dvrk_cmaes.segment.segmentation import hints_within
+        from dvrk_cmaes.segment.segmentation import Hints, hints_within
 
         timed, doubled = with_increasing_times(arm.session)
         if doubled:
             warn(f"left out, for they have the time of the frame before: {listed(doubled)}")
         used, evidence = used_session(timed, self.evidence)
-        hints = hints_of(used.frames[0]) if place == PromptOptions() else None
-        method = replace(arm.method, hints=hints or hints_within(place.hints(), used.frames[0].crop))
+        first, prompted = used.frames[0], place != PromptOptions()
+        hints = hints_within(place.hints(), first.crop) if prompted else hints_of(first) or Hints()
+        method = replace(arm.method, hints=hints)
         used = with_first_mask(used, self.first_mask)
         rate = method.config.track.frames_a_second
         same = ("every", "causal", "workers", "video", "page", "rerun")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError, Future
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
@@ -26,7 +26,7 @@ class Process(AbstractContextManager[Any], Protocol):
     """A process that calls functions one after the other; after it was killed, the next call starts it again."""
 
     def submit(self, call: Callable[..., Answer], *arguments: Any) -> Future[Answer]:
-        """Call a function, after those before it; BrokenProcessPool if the process has died."""
+        """Call a function, after those before it; the future of a process that has died has ended with its error."""
 
     def kill(self) -> None:
         """End the process, whatever it is at."""
@@ -37,24 +37,27 @@ _lines: list[str] = []
 _found: list[Mapping[str, Any]] = []
 
 
-def make_here(own: ArmSetup) -> None:
-    """Make the arm that this process follows."""
+def _begun(own: ArmSetup, rig: Rig) -> Answer:
+    """Begin anew by some cameras, in this process, which follows this arm alone."""
     from dvrk_cmaes.live.follow import FollowedArm
 
-    _here.append(FollowedArm(replace(own, save=_found.append), _lines.append))
+    if not _here:
+        _here.append(FollowedArm(replace(own, save=_found.append), _lines.append))
+    return _answer(_here[0].begin, rig)
 
 
-def _done(asked: Rig | tuple[Any, ...]) -> Answer:
-    """Begin anew by other cameras, or do a step with some arguments, in this process."""
-    found: TrackResult | Exception | None = None
+def _stepped(*arguments: Any) -> Answer:
+    """Do a step in this process."""
+    return _answer(_here[0].step, *arguments)
+
+
+def _answer(call: Callable[..., Any], *arguments: Any) -> Answer:
+    """Call a function of the arm; returns what it returned or raised, with all else that there is to know."""
     try:
-        if isinstance(asked, Rig):
-            _here[0].begin(asked)
-        else:
-            found = _here[0].step(*asked)
+        found = call(*arguments)
     except Exception as error:
         found = error
-    answer = found, _here[0].state, tuple(_lines), tuple(_found)
+    answer = found if isinstance(found, (TrackResult, Exception)) else None, _here[0].state, (*_lines,), (*_found,)
     _lines.clear()
     _found.clear()
     return answer
@@ -66,51 +69,43 @@ class ArmProcess:
     Parameters
     ----------
     process
-        The process, in which `make_here` was called. One that has died is started again.
+        The process. One that has died is started again.
+    own
+        The arm; each calibration that is found is kept in this process, which has the folder open.
     report
         Takes lines for the user.
-    save
-        Keeps each calibration that is found, in this process, which has the folder open.
     """
 
-    def __init__(self, process: Process, report: Report, save: Callable[[Mapping[str, Any]], None] | None) -> None:
+    def __init__(self, process: Process, own: ArmSetup, report: Report) -> None:
         self.state = ""
-        self._process, self._report, self._save = process, report, save
+        self._process, self._report, self._save, self._own = process, report, own.save, replace(own, save=None)
 
     def begin(self, rig: Rig) -> ArmProcess:
         """Follow anew, by these cameras."""
         self._rig = rig
-        self._answer(self._asked(rig))
+        self._taken(self._process.submit(_begun, self._own, rig))
         return self
 
     def start_step(self, *arguments: Any) -> Callable[[], Any]:
         """Begin `FollowedArm.step`, with its arguments; returns what waits for the result."""
-        return partial(self._answer, self._asked(arguments))
+        return partial(self._taken, self._process.submit(_stepped, *arguments))
 
     def close(self) -> None:
         """End the process, whatever it is at."""
         self._process.kill()
 
-    def _asked(self, what: Rig | tuple[Any, ...]) -> Future[Answer]:
-        """Ask the process; its answer is an error if that has died."""
-        with suppress(BrokenProcessPool):
-            return self._process.submit(_done, what)
-        died = Future[Answer]()
-        died.set_exception(BrokenProcessPool())
-        return died
-
-    def _answer(self, future: Future[Answer]) -> TrackResult | None:
+    def _taken(self, future: Future[Answer]) -> TrackResult | None:
         """Take an answer of the process; one that has died begins anew."""
         try:
             found, self.state, lines, calibrations = future.result()
         except (BrokenProcessPool, CancelledError):
             self._process.kill()
-            self._asked(self._rig)
+            self._process.submit(_begun, self._own, self._rig)
             raise DvrkCmaesError("the process of this arm died") from None
         for line in lines:
             self._report(line)
-        if self._save is not None:
-            for document in calibrations:
+        for document in calibrations:
+            if self._save is not None:
                 self._save(document)
         if isinstance(found, Exception):
             raise found

@@ -20,7 +20,7 @@ from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.live.arm import LiveArm, Readings
-from dvrk_cmaes.live.arm_process import ArmProcess, Process, make_here
+from dvrk_cmaes.live.arm_process import ArmProcess, Process
 from dvrk_cmaes.live.connection import Connection, LogThrottle, Report
 from dvrk_cmaes.live.inputs import Inputs, InputTopics
 from dvrk_cmaes.live.loop import LiveCounts, LiveLoop
@@ -60,8 +60,8 @@ class LiveSetup:
     """What is followed, and how.
 
     ``rig`` is used instead of the topics' cameras if given; ``rectified`` says which of the topics' matrices is used.
-    ``overlay`` publishes an overlay of each image. Trackers count time from ``origin``, ns. ``process`` makes one that
-    begins with a picklable function, in which one of several arms is followed; without it all are followed in this one.
+    ``overlay`` publishes an overlay of each image. Trackers count time from ``origin``, ns. ``process`` makes one in
+    which one of several arms is followed; without it all are followed in this one.
     """
 
     topics: InputTopics
@@ -70,7 +70,7 @@ class LiveSetup:
     rectified: bool = False
     overlay: bool = False
     origin: int = 0
-    process: Callable[[Callable[[], None]], Process] | None = None
+    process: Callable[[], Process] | None = None
 
     def loop(
         self,
@@ -89,10 +89,7 @@ class LiveSetup:
         for own in self.arms:
             say = LogThrottle(report)
             followed: FollowedArm | ArmProcess
-            if apart is None:
-                followed = FollowedArm(own, say)
-            else:
-                followed = ArmProcess(stack.enter_context(apart(partial(make_here, own))), say, own.save)
+            followed = FollowedArm(own, say) if apart is None else ArmProcess(stack.enter_context(apart()), own, say)
             stack.callback(followed.close)
             drawn = own.body if self.overlay else None
             outputs = Outputs(connection, own.names, own.body.instrument.root_link, drawn)
