@@ -24,21 +24,21 @@ class InputError(DvrkCmaesError):
     exit_code = 2
 
 
-def missing_extra(what: str, extra: str) -> InputError:
-    """Return the error where an optional dependency is not installed; it states the command for this environment.
+def missing_library(what: str, library: str) -> InputError:
+    """Return the error where an optional library is not installed; it states the command for this environment.
 
     Parameters
     ----------
     what
         What needs it.
-    extra
-        Name of the package's extra that has it.
+    library
+        Its name in the package's extras.
     """
     from importlib.metadata import requires
 
-    needed = [each.partition(";")[0] for each in requires("dvrk-cmaes") or () if f'extra == "{extra}"' in each]
-    command = shlex.join([sys.executable, "-m", "pip", "install", *needed])
-    return InputError(f"{what}, which is not installed; run: {command}")
+    needed = next(each.partition(";")[0] for each in requires("dvrk-cmaes") or () if each.startswith(library))
+    command = shlex.join([sys.executable, "-m", "pip", "install", needed])
+    return InputError(f"{what}: needs the library {library}, which is not installed; run: {command}")
 
 
 def nearest_first(name: str, known: Iterable[str]) -> list[str]:

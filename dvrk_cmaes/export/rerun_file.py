@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera, Rig
-from dvrk_cmaes.errors import InputError, missing_extra
+from dvrk_cmaes.errors import InputError, missing_library
 from dvrk_cmaes.geometry import Float64, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.output import not_written, whole_file
@@ -213,7 +213,7 @@ def _library() -> Any:
         import rerun
         import rerun.blueprint
     except ImportError:
-        raise missing_extra("--rerun: needs the library rerun-sdk", "viewer") from None
+        raise missing_library("--rerun", "rerun-sdk") from None
     return rerun
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from dvrk_cmaes.errors import missing_extra
+from dvrk_cmaes.errors import missing_library
 from dvrk_cmaes.export.ros_messages import TF_MESSAGE, RosMessage
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def bag_files(messages: Sequence[RosMessage], kind: BagKind, name: str) -> dict[
     try:
         import rosbags  # noqa: F401
     except ImportError:
-        raise missing_extra(f"--to {kind}: ROS recordings are written by the library rosbags", "rosbag") from None
+        raise missing_library(f"--to {kind}", "rosbags") from None
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
         if kind == "ros1-bag":

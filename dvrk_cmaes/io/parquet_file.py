@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-from dvrk_cmaes.errors import InputError, missing_extra
+from dvrk_cmaes.errors import InputError, missing_library
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.short_text import listed
 
@@ -52,7 +52,7 @@ def opened(path: Path) -> Iterator[Any]:
         import pyarrow as pa
         import pyarrow.parquet as pq
     except ImportError:
-        raise missing_extra(f"{path}: parquet files are read by the library pyarrow", "parquet") from None
+        raise missing_library(f"{path}", "pyarrow") from None
     try:
         with pq.ParquetFile(path) as file:
             yield file

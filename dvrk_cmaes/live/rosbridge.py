@@ -15,7 +15,7 @@ from functools import partial
 from threading import Event
 from typing import Any, Final
 
-from dvrk_cmaes.errors import missing_extra, one_line
+from dvrk_cmaes.errors import missing_library, one_line
 from dvrk_cmaes.live.connection import LARGEST_IMAGE, LARGEST_MESSAGE, Connection, Receive, Report, too_large
 
 _LONGEST_WAIT: Final = 2.0  # s, between attempts to connect
@@ -42,7 +42,7 @@ class RosbridgeConnection(Connection):
         try:
             import roslibpy
         except ImportError:
-            raise missing_extra("rosbridge: is connected to by the library roslibpy", "ros") from None
+            raise missing_library("rosbridge", "roslibpy") from None
         self._roslibpy = roslibpy
         self._address = host, port
         super().__init__(f"rosbridge {host}:{port}")

@@ -13,7 +13,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dvrk_cmaes.errors import InputError, missing_extra, one_line
+from dvrk_cmaes.errors import InputError, missing_library, one_line
 from dvrk_cmaes.instrument.setup_joints import SETUP, setup_text
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.short_text import listed
@@ -182,7 +182,7 @@ def _open(path: Path) -> Iterator[AnyReader]:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
-        raise missing_extra(f"{path}: ROS recordings are read by the library rosbags", "rosbag") from None
+        raise missing_library(f"{path}: a ROS recording", "rosbags") from None
     files = _files(path)
     try:
         # recordings of ROS 2 before Iron lack message definitions; those of sensor_msgs are unchanged since

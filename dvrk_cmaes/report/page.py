@@ -19,7 +19,7 @@ from dvrk_cmaes.io.csv_file import Table, fixed
 from dvrk_cmaes.io.short_text import counted
 from dvrk_cmaes.report.curves import Chart, Curve
 from dvrk_cmaes.report.tables import calibration_lines, calibration_tables, result_lines, result_tables
-from dvrk_cmaes.report.template import Entry, KeyFigure, Page, Part, Picture, Pictures, counted_reasons, write
+from dvrk_cmaes.report.template import Entry, KeyFigure, Page, Part, Pictures, counted_reasons, write
 from dvrk_cmaes.results.folder import (
     ALONE,
     SESSION,
@@ -170,13 +170,10 @@ def _entries(
     ranked = sorted(folder.frames.values(), key=doubt_key)  # stable: by name where the doubts are equal
     entries = []
     for place, result in enumerate(ranked):
-        shown: list[Picture] = []
-        if result.frame in documents:
-            shown = pictures.of(overlay_path(folder.folder, result.frame))
-            if calibration is not None and shown:
-                shown += pictures.of(
-                    left_out_path(folder.folder, result.frame), "as the session's other frames predict it"
-                )
+        shown = pictures.of(overlay_path(folder.folder, result.frame)) if result.frame in documents else []
+        if calibration is not None and shown:
+            predicted = left_out_path(folder.folder, result.frame)
+            shown += pictures.of(predicted, "as the session's other frames predict it")
         entries.append(
             Entry(
                 result.frame,

@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -18,7 +17,7 @@ from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.short_text import counted
 from dvrk_cmaes.report.curves import Chart, Curve
 from dvrk_cmaes.report.page import calibration_part
-from dvrk_cmaes.report.template import Entry, KeyFigure, Page, Part, Picture, Player, counted_reasons, webp, write
+from dvrk_cmaes.report.template import Entry, KeyFigure, Page, Part, Picture, Player, counted_reasons, webp
 from dvrk_cmaes.results.tracked import TrackView
 
 PAGE: Final = "report.html"
@@ -115,11 +114,6 @@ def track_events(rows: Sequence[Mapping[str, Any]]) -> list[TrackEvent]:
         if status != "ok":
             found.append(TrackEvent(status, first, 1 + len(more), next(iter(rows[first]["reasons"]), "")))
     return sorted(found, key=lambda event: (-_STATUSES.index(event.status), -event.frames, event.first))
-
-
-def write_track_page(out: Path, recording: FollowedRecording) -> Path:
-    """Write OUT/report.html and return its path; errors as in `dvrk_cmaes.io.output.write_bytes`."""
-    return write(out / PAGE, track_page(recording))
 
 
 def track_page(recording: FollowedRecording) -> Page:

@@ -10,7 +10,7 @@ from typing import Any, Final, Literal, Protocol
 
 import numpy as np
 
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.errors import InputError, missing_library
 from dvrk_cmaes.geometry import Float64, Image, Posed, in_parent
 from dvrk_cmaes.io.arguments import checked_array
 from dvrk_cmaes.io.encode import SIGNIFICANT, Document, rounded_array, rounded_values
@@ -249,7 +249,7 @@ def data_frame(rows: Sequence[Mapping[str, Any]]) -> Any:
     try:
         from pandas import DataFrame
     except ImportError:
-        raise InputError("to_frame: expected pandas, which is not installed (pip install pandas)") from None
+        raise missing_library("to_frame", "pandas") from None
     return DataFrame([dict(row) for row in rows])
 
 

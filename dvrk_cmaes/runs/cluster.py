@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from dvrk_cmaes.config import __version__
-from dvrk_cmaes.errors import DvrkCmaesError, InputError, missing_extra
+from dvrk_cmaes.errors import DvrkCmaesError, InputError, missing_library
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.runs.pool import Workers
 
@@ -44,7 +44,7 @@ def dask_executor(address: str, folder: str | Path) -> Iterator[Workers]:
         from distributed import Client
         from distributed.scheduler import KilledWorker
     except ImportError:
-        raise missing_extra("--scheduler: needs the library distributed (Dask)", "cluster") from None
+        raise missing_library("--scheduler", "distributed") from None
     connect: Any = Client  # Dask has no type annotations
     try:
         _check_address(address)

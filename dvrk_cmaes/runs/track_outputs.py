@@ -16,7 +16,8 @@ from dvrk_cmaes.export.rerun_file import rerun_file
 from dvrk_cmaes.geometry import Float64, apply
 from dvrk_cmaes.io.short_text import natural
 from dvrk_cmaes.io.video_writer import whole_video
-from dvrk_cmaes.report.track_page import FollowedRecording, write_track_page
+from dvrk_cmaes.report.template import write
+from dvrk_cmaes.report.track_page import PAGE, FollowedRecording, track_page
 from dvrk_cmaes.results.followed import result_of_row
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import VIDEO, TrackView
@@ -94,7 +95,7 @@ def write_outputs(arm: TrackedArm) -> None:
                 read = {joint: float(values[number]) for joint, values in readings.items()}
                 log.add(number, row, read, views)
     if page is not None:
-        write_track_page(arm.out, page)
+        write(arm.out / PAGE, track_page(page))
 
 
 def write_track_arms(out: Path, arms: Mapping[str, TrackedArm]) -> None:

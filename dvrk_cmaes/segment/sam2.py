@@ -32,7 +32,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.errors import DvrkCmaesError, InputError, missing_extra, one_line
+from dvrk_cmaes.errors import DvrkCmaesError, InputError, missing_library, one_line
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.geometry import Float32
 from dvrk_cmaes.io.files import check_file
@@ -101,7 +101,7 @@ def open_export(folder: Path, threads: int) -> tuple[OnnxModel, OnnxModel]:
         what each file is.
     """
     if importlib.util.find_spec("onnxruntime") is None:
-        raise missing_extra("model sam2: needs the library onnxruntime", "sam2")
+        raise missing_library("model sam2", "onnxruntime")
     if not folder.is_dir():
         raise InputError(f"{folder}: expected the folder of an exported checkpoint, got {no_folder(folder)}")
     files = sorted(folder.glob("*.onnx")) or sorted(folder.glob("onnx/*.onnx"))

@@ -186,6 +186,6 @@ def test_missing_library_is_named(monkeypatch: pytest.MonkeyPatch, run: Run, res
 
     monkeypatch.setattr(builtins, "__import__", without)
     assert run(results, "--to", "ros1-bag").refusal == (
-        "--to ros1-bag: ROS recordings are written by the library rosbags, which is not installed; "
+        "--to ros1-bag: needs the library rosbags, which is not installed; "
         f"run: {sys.executable} -m pip install 'rosbags<0.12,>=0.11'"
     )

@@ -337,6 +337,6 @@ def test_missing_library_is_reported_with_install_command(
     bag = write_bag(tmp_path / "bag", "mcap", good(1))
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     assert refused(bag) == (
-        f"{bag}: ROS recordings are read by the library rosbags, which is not installed; "
+        f"{bag}: a ROS recording: needs the library rosbags, which is not installed; "
         f"run: {sys.executable} -m pip install 'rosbags<0.12,>=0.11'"
     )

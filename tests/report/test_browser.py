@@ -13,7 +13,8 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.remote.webdriver import WebDriver
 
 from dvrk_cmaes.report.page import write_page
-from dvrk_cmaes.report.track_page import write_track_page
+from dvrk_cmaes.report.template import write
+from dvrk_cmaes.report.track_page import PAGE, track_page
 
 pytestmark = pytest.mark.browser
 
@@ -37,7 +38,7 @@ def report(request: pytest.FixtureRequest, tmp_path: Path) -> str:
         path = write_page(write_calibrated(tmp_path, frames, calibration(frames)))
     else:
         rows = [row(k, *(("lost", "lost: no edges") if 3 <= k < 6 else ("ok",))) for k in range(30)]
-        path = write_track_page(tmp_path, recording(rows))
+        path = write(tmp_path / PAGE, track_page(recording(rows)))
     return path.as_uri()
 
 

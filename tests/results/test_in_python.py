@@ -119,7 +119,7 @@ def test_frames_are_those_of_pandas(result: Result, tmp_path: Any, monkeypatch: 
     assert folder.to_frame() == ("frame of", folder.to_rows())
     assert result.to_frame()[1][0]["frame"] == "0001"
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(InputError, match=r"^to_frame: expected pandas, which is not installed \(pip install pandas\)$"):
+    with pytest.raises(InputError, match=r"^to_frame: needs the library pandas, .* -m pip install 'pandas"):
         result.to_frame()
 
 
