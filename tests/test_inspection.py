@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from helpers.made_examples import SMALL_CAMERA
 from helpers.made_recordings import write_video
 from helpers.places import ROOT, bundled_path
 
-from dvrk_cmaes import InputError
+from dvrk_cmaes import InputError, SessionCalibration
 from dvrk_cmaes.cli.app import app
 from dvrk_cmaes.inspection import Options, inspect_path
 
@@ -94,6 +95,15 @@ def test_readings_are_shown_in_deg_and_mm(tmp_path: Path) -> None:
     )
     assert found.read["ranges"] == {"insertion": (0.1, 0.15), "jaw": (0.5, 1.0)}
     assert found.notes[-1] == "a frame's readings are found by its name"
+
+
+def test_calibration_states_its_status_its_base_and_its_doubts(tmp_path: Path) -> None:
+    axes = ("tx", "ty", "tz", "rx", "ry", "rz", "jaw")
+    known = SessionCalibration("lnd", np.eye(4), {"jaw": 0.1}, axes, np.eye(7), np.eye(7), {}, ("a",))
+    made = replace(known, doubts=("wrong",))
+    found = inspect_path(written(tmp_path, "session.json", json.dumps(made.to_dict())))
+    first = "doubtful, of 1 frame; arm's base (RCM) in the camera 0.00, 0.00, 0.00 mm"
+    assert found.lines == (first, "offset of jaw 5.73 deg", "wrong")
 
 
 @pytest.mark.parametrize(

@@ -196,9 +196,12 @@ def _inspect_json(path: Path, options: Options) -> Finding:
         line = f"frame {result.frame or '(unnamed)'}, {result.status}, {result.instrument or 'unnamed instrument'}"
         return Finding("result", (line, *result.reasons), {"frame": result.frame, "status": result.status})
     if "rcm" in fields:
-        offsets = read_calibration(path).offsets
-        lines = tuple(f"offset of {_range_text(name, value, value)}" for name, value in offsets.items())
-        return Finding("session calibration (session.json)", lines, {"offsets": offsets})
+        found = read_calibration(path)
+        base = ", ".join(f"{1e3 * value:.2f}" for value in found.rcm)
+        lines = [f"{found.status}, of {counted(len(found.frames), 'frame')}; arm's base (RCM) in the camera {base} mm"]
+        lines += (f"offset of {_range_text(name, value, value)}" for name, value in found.offsets.items())
+        read = {"status": found.status, "offsets": found.offsets}
+        return Finding("session calibration (session.json)", (*lines, *found.warnings), read)
     if {"images", "annotations"} <= fields:
         names = list(frames_of(path))
         return Finding("masks of a data set", (f"{counted(len(names), 'frame')}: {listed(names)}",), {"frames": names})
