@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from dvrk_cmaes.evaluate import Tolerance
 from dvrk_cmaes.evaluate.pose_check import check_pose, table
-from dvrk_cmaes.evaluate.pose_error import Tolerance
 from dvrk_cmaes.frames.truth import FrameTruth, SessionTruth, read_golden
 from dvrk_cmaes.instrument import Instrument, load_instrument
 from dvrk_cmaes.results.result import Result

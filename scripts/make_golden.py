@@ -19,7 +19,7 @@ from committed_data import fixed_rms_readings, refuse_in_ci
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.evaluate.pose_error import Tolerance
+from dvrk_cmaes.evaluate import Tolerance
 from dvrk_cmaes.instrument import Instrument, load_instrument
 from dvrk_cmaes.io.json_file import write_image, write_json
 from dvrk_cmaes.synth.files import rounded_joints, rounded_truth

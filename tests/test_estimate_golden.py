@@ -17,7 +17,8 @@ from helpers.files import read_mask
 from helpers.places import bundled_path
 
 from dvrk_cmaes import Body, Camera, EstimateConfig, Result, estimate
-from dvrk_cmaes.evaluate.pose_error import PoseError, Tolerance, compare_poses
+from dvrk_cmaes.evaluate import Tolerance
+from dvrk_cmaes.evaluate.pose_error import PoseError, compare_poses
 from dvrk_cmaes.frames.images import read_ignore
 
 GOLDEN = bundled_path("golden")

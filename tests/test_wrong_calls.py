@@ -101,6 +101,11 @@ CALLS: dict[str, Callable[[], object]] = {
     "path: a number": lambda: dvrk_cmaes.read_result(wrong("number")),
     "path: nothing": lambda: dvrk_cmaes.read_camera(ANY),
     "folder: nothing": lambda: dvrk_cmaes.read_session(ANY),
+    "path: of a calibration": lambda: dvrk_cmaes.read_calibration(ANY),
+    "folder: of results": lambda: dvrk_cmaes.read_results(wrong("number")),
+    "files: a path": lambda: dvrk_cmaes.read_frame(wrong("path"), CAMERA),
+    "frames: results": lambda: dvrk_cmaes.calibrate_session(wrong("list"), "lnd"),
+    "mask: nothing": lambda: estimate(ANY, CAMERA, RADIANS),
     "result: a path": lambda: Result.from_dict(wrong("path")),
 }
 

@@ -39,6 +39,7 @@ from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.io.arguments import check_type
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.prior import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.joints.series import ReadingSeries
@@ -112,6 +113,8 @@ def calibrate_session(
         Fewer than three frames are usable or agree; the arm does not move; the readings only fit another arm or tool;
         fewer than ten frames, or 5 mm of insertion, to refine the camera.
     """
+    for frame in frames:
+        check_type("frames", frame, SessionFrame, "SessionFrames")
     settings = EstimateConfig() if config is None else config
     body = instrument if isinstance(instrument, Body) else prepare(instrument)
     run = run or partial(in_threads, body, settings)

@@ -401,5 +401,5 @@ def read_calibration(path: str | Path) -> SessionCalibration:
     path
         The file, session.json.
     """
-    document = read_json_object(Path(path), expected="a session calibration (session.json)")
+    document = read_json_object(path, expected="a session calibration (session.json)")
     return SessionCalibration.from_dict(document, where=str(path))

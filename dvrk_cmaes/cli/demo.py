@@ -39,7 +39,7 @@ def demo(
         The method.
     """
     from dvrk_cmaes.estimation.one_tool import FrameMethod
-    from dvrk_cmaes.evaluate.pose_error import Tolerance
+    from dvrk_cmaes.evaluate import Tolerance
     from dvrk_cmaes.frames.frame import read_frame
     from dvrk_cmaes.frames.session_folder import read_session
     from dvrk_cmaes.io.files import bundled_path

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,10 +18,10 @@ from dvrk_cmaes.cli.options import (
 from dvrk_cmaes.cli.session_tools import read_arms
 from dvrk_cmaes.cli.terminal import DOUBTFUL, FAILED, STATUS_STYLES, Line, answer, table_lines, tracked, warn
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.evaluate import Tolerance
 
 if TYPE_CHECKING:
     from dvrk_cmaes.evaluate.pose_check import PoseCheck
-    from dvrk_cmaes.evaluate.pose_error import Tolerance
     from dvrk_cmaes.frames.frame import FrameFiles
     from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.frames.truth import FrameTruth
@@ -32,48 +32,6 @@ if TYPE_CHECKING:
 TOLERANCE = Group.create_ordered("Tolerance")
 
 golden = App(name="golden", help="Record the poses of a session's frames, and compare later estimates with them.")
-
-
-@Parameter(name="*", group=TOLERANCE)
-@dataclass(frozen=True, kw_only=True)
-class ToleranceOptions:
-    """Largest differences from the golden pose.
-
-    Parameters
-    ----------
-    root_mm
-        Largest distance of the root's origin, mm.
-    tip_mm
-        Largest distance of the jaw tips (mean of both), mm.
-    shaft_deg
-        Largest angle between the directions of the shaft, degrees.
-    roll_deg
-        Largest rotation about the shaft, degrees.
-    pitch_yaw_deg
-        Largest difference of every joint except the jaw, degrees.
-    jaw_deg
-        Largest difference of the jaw, degrees.
-    modulo_twin
-        Accept the mirror twin of the golden pose as well: rolled by half a turn, with wrist pitch and yaw negated.
-    """
-
-    root_mm: float = 0.5
-    tip_mm: float = 0.5
-    shaft_deg: float = 1.5
-    roll_deg: float = 3.0
-    pitch_yaw_deg: float = 3.0
-    jaw_deg: float = 3.0
-    modulo_twin: Flag = False
-
-    def resolve(self) -> Tolerance:
-        """Return the tolerances; InputError if one is negative or not a number."""
-        from dvrk_cmaes.evaluate.pose_error import Tolerance
-
-        values = {name: value for name, value in asdict(self).items() if name != "modulo_twin"}
-        for name, value in values.items():
-            if not value >= 0:
-                raise InputError(f"--{name.replace('_', '-')}: expected a number of at least 0, got {value:g}")
-        return Tolerance(**values)
 
 
 @golden.command
@@ -149,7 +107,8 @@ def check(
     /,
     *,
     golden: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
-    tolerance: ToleranceOptions = ToleranceOptions(),
+    tolerance: Annotated[Tolerance, Parameter(name="*", group=TOLERANCE)] = Tolerance(),
+    modulo_twin: Annotated[Flag, Parameter(group=TOLERANCE)] = False,
     given: SessionOptions = SessionOptions(),
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
@@ -171,6 +130,8 @@ def check(
         File of golden poses; golden.json in the session folder by default.
     tolerance
         Largest differences.
+    modulo_twin
+        Accept the mirror twin of the golden pose as well: rolled by half a turn, with wrist pitch and yaw negated.
     given
         The arm, the camera, the instrument and the settings.
     json
@@ -178,7 +139,9 @@ def check(
     """
     from dvrk_cmaes.frames.truth import read_golden
 
-    most = tolerance.resolve()
+    for name, value in asdict(tolerance).items():
+        if not value >= 0:
+            raise InputError(f"--{name.replace('_', '-')}: expected a number of at least 0, got {value:g}")
     path = session / "golden.json" if golden is None else golden
     kept = read_golden(path).frames
     (arm,) = read_arms(session, given, single=True).values()
@@ -186,8 +149,8 @@ def check(
     frames = [files for files in arm.session.frames if files.name in kept]
     results = tracked(_estimated(frames, arm), "Estimating", len(frames))
     not_checked = [files.name for files in arm.session.frames if files.name not in kept]
-    more, as_twin = {"not_checked": not_checked}, tolerance.modulo_twin
-    right = answer_checks(results, kept, arm.body.instrument, most, more, modulo_twin=as_twin, json=json)
+    more, instrument = {"not_checked": not_checked}, arm.body.instrument
+    right = answer_checks(results, kept, instrument, tolerance, more, modulo_twin=modulo_twin, json=json)
     return 0 if right else FAILED
 
 

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dvrk_cmaes.evaluate.pose_error import Measured, PoseError, Tolerance, compare_poses, tips_in_camera
+from dvrk_cmaes.evaluate import Tolerance
+from dvrk_cmaes.evaluate.pose_error import Measured, PoseError, compare_poses, tips_in_camera
 from dvrk_cmaes.frames.truth import FrameTruth
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument import Instrument

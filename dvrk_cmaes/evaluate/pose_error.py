@@ -9,26 +9,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from dvrk_cmaes.evaluate import Tolerance
 from dvrk_cmaes.geometry import Float64, apply
 from dvrk_cmaes.instrument import Instrument
 
 _TWIN_DEG: Final = 90.0
 """Roll difference from which a pose is rather the mirror twin's than the true one."""
-
-
-@dataclass(frozen=True)
-class Tolerance:
-    """Largest errors of a pose that counts as right, mm and deg.
-
-    ``shaft_deg`` is the angle between the directions of the root's z axis, ``roll_deg`` the angle about it.
-    """
-
-    root_mm: float = 0.5
-    tip_mm: float = 0.5
-    shaft_deg: float = 1.5
-    roll_deg: float = 3.0
-    pitch_yaw_deg: float = 3.0
-    jaw_deg: float = 3.0
 
 
 class Measured(NamedTuple):

@@ -25,6 +25,7 @@ from dvrk_cmaes.frames.label import Label
 from dvrk_cmaes.frames.seen_view import Mask, SeenView, seen_by, seen_views
 from dvrk_cmaes.frames.video_frames import VideoFrame, Window, check_crop, part_of
 from dvrk_cmaes.geometry import Bool, Float64
+from dvrk_cmaes.io.arguments import check_type
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.image_header import read_header
 from dvrk_cmaes.results.result import Result
@@ -184,6 +185,7 @@ def read_frame(files: FrameFiles, camera: Camera | Rig, *, blank: bool = False) 
     InputError
         A file that cannot be read, or of a size that does not fit the others: names the file. Neither mask nor image.
     """
+    check_type("files", files, FrameFiles, "a FrameFiles, as a Session has in frames")
     if files.problem is not None:
         raise InputError(files.problem)
     rig = Rig.of(camera)

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.arguments import PATH, check_type
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import in_order, no_folder, shown
 from dvrk_cmaes.results.followed import read_followed
@@ -93,6 +94,7 @@ def read_results(folder: str | Path, *, summary: bool = True) -> ResultsFolder:
     InputError
         The folder does not exist or has no results, or a file is no result; the message names the file.
     """
+    check_type("folder", folder, PATH, "the path of a folder of results")
     root = Path(folder)
     if not root.is_dir():
         raise InputError(f"{folder}: {no_folder(folder)}; expected results, with frames/FRAME.json")

@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dvrk_cmaes import Body
-from dvrk_cmaes.evaluate.pose_error import PoseError, Tolerance, compare_poses
+from dvrk_cmaes.evaluate import Tolerance
+from dvrk_cmaes.evaluate.pose_error import PoseError, compare_poses
 
 TRUTH = moved(np.eye(4), [0.01, -0.02, 0.12, 0.4, 2.0, -0.3])
 JOINTS = {"wrist_pitch": 0.5, "wrist_yaw": -0.2, "jaw": 0.7}
