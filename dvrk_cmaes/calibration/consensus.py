@@ -169,15 +169,12 @@ def _for_each_mode(at: Posed) -> Posed:
 def _distances(changes: Float64, covariance: Float64) -> tuple[Float64, Float64]:
     """Return the squared Mahalanobis lengths (...) of changes (..., D), and the logarithms of the determinants.
 
-    Both follow from the Cholesky factors of the covariances (..., D, D), by forward substitution for all at once.
+    Both follow from the Cholesky factors of the covariances (..., D, D).
     """
     factor = np.linalg.cholesky(covariance)
-    whitened = np.empty_like(changes)
-    for i in range(changes.shape[-1]):
-        known = np.einsum("...i,...i->...", factor[..., i, :i], whitened[..., :i])
-        whitened[..., i] = (changes[..., i] - known) / factor[..., i, i]
+    whitened = np.linalg.solve(factor, changes[..., None])[..., 0]
     determinants = 2 * np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
-    return np.einsum("...i,...i->...", whitened, whitened), determinants
+    return np.square(whitened).sum(axis=-1), determinants
 
 
 class _Hypotheses:

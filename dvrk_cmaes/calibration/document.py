@@ -14,6 +14,7 @@ from dvrk_cmaes.calibration.blocks import BASE_AXES, OBSERVABLE, OUTER_OFFSETS, 
 from dvrk_cmaes.calibration.cables import SessionCables
 from dvrk_cmaes.calibration.endoscope import Endoscope
 from dvrk_cmaes.calibration.lag import LagCurve
+from dvrk_cmaes.calibration.masks_and_sizes import SessionMasks
 from dvrk_cmaes.calibration.model import (
     Correction,
     Deviations,
@@ -24,7 +25,6 @@ from dvrk_cmaes.calibration.model import (
 from dvrk_cmaes.calibration.session_camera import CAMERA
 from dvrk_cmaes.calibration.session_endoscope import UNDETERMINED_ROTATION, SessionEndoscope
 from dvrk_cmaes.calibration.session_frame import changed
-from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation, turns_of
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.rig import V, ViewDocument, turned_views

@@ -30,8 +30,7 @@ They are nuisance parameters of each frame, which are eliminated. Their standard
 the fits of a session have a loss that is less robust against shadows, with 0.2 to 0.6 of these at the true poses of
 followed recordings.
 """
-_SHARE, _GAP = 0.9, 50.0  # of fits at half the image size that continue, as `Selection`
-_KEPT = 2  # fits at half the image size that are continued at the whole size
+_SHARE, _GAP, _KEPT = 0.9, 50.0, 2  # of fits from several starts that continue, as `Selection`
 _LARGEST_STEP = 3e-3  # m, by which a fit moves where the errors that masks share are eliminated
 _OVERLAP_LOSS = 0.1  # by which the fit's intersection over union may fall below that of the frame's own estimate
 
@@ -125,13 +124,12 @@ class FrameFit:
 class FitPreset:
     """How a frame is fitted.
 
-    ``steps`` are those of the refinement, with at least the tolerance of the settings; None to fit from coarse to fine.
-    ``noise`` says how the outlines' noise is measured
-    where the frame has no estimate of its own: by the silhouette of the fit; the same, and by that the outlines are
-    weighed anew; or by what the fit drew. ``lines_per_pixel`` are those of the drawings, those of the settings by
-    default. Every ``stride``-th point of the outline counts at the end; ``as_seen`` is as in
-    `Coverage.near_with_sides`, as in the settings by default. ``sides`` is the factor on the standard deviations of the
-    errors of the shaft's sides.
+    ``steps`` are those of the refinement, with at least the tolerance of the settings; by default those of the
+    settings. ``noise`` says how the outlines' noise is measured where the frame has no estimate of its own: by the
+    silhouette of the fit; the same, and by that the outlines are weighed anew; or by what the fit drew.
+    ``lines_per_pixel`` are those of the drawings, those of the settings by default. Every ``stride``-th point of the
+    outline counts at the end; ``as_seen`` is as in `Coverage.near_with_sides`, as in the settings by default. ``sides``
+    is the factor on the standard deviations of the errors of the shaft's sides.
     """
 
     steps: Steps | None = None
@@ -208,14 +206,14 @@ def fit_frame(
     """
     limits, _, _ = split_readings(views[0].renderer.body.instrument, {}, config)
     terms = terms_of_frame(views, limits, config.refine.outline, expected)
-    fit, coverage, seen, count = _refined(views, config, terms, starts, own_estimate, margin, lengths, preset)
+    fit, coverage, seen = _refined(views, config, terms, starts, own_estimate, margin, lengths, preset)
     own = own_estimate or OwnEstimate.drawn_as(views, fit.at, seen)
+    count = coverage.silhouettes
     if preset.noise == "weighed":
-        before = coverage.silhouettes
         coverage = coverage.changed(correlations=own.lengths)
         coverage = coverage.changed(noise=coverage.noise_at(own.at))
         fit = _drawn_anew(fit, coverage)
-        count += coverage.silhouettes - before
+        count += coverage.silhouettes
     iou = own.iou if own_estimate is None else overlap(views, seen)
     as_seen = config.session.shadows if preset.as_seen is None else preset.as_seen
     at, drawn = (fit.drawn_at, fit.drawn) if all(one.outlined for one in fit.drawn) else (fit.at, None)
@@ -233,33 +231,27 @@ def _refined(
     margin: float,
     lengths: Sequence[float],
     preset: FitPreset,
-) -> tuple[Fit, Coverage, list[Bool], int]:
+) -> tuple[Fit, Coverage, list[Bool]]:
     """Refine a frame from its starts; arguments as in `fit_frame`, ``terms`` are those besides the outlines.
 
-    Returns the fit, the outlines' term, the fit's silhouettes (H, W) in the views, and the number of drawn ones.
+    Returns the fit, the outlines' term, and the fit's silhouettes (H, W) in the views.
     """
     outline = _outline(config, preset)
     lengths = lengths if own_estimate is None else own_estimate.lengths
-    at, count = Posed.stacked(starts), 0
-    coarse, selection = preset.steps is None, ALL
-    if coarse:
-        selection = Selection(_SHARE, _GAP, least=_KEPT)
-    for shrink in (2, 1) if coarse and len(starts) > 1 and views[0].evidence.camera.width >= 320 else (1,):
-        coverage = _coverage(views, outline, lengths, shrink, margin)
-        if own_estimate is not None:
-            known = own_estimate.residual
-            coverage = coverage.changed(noise=coverage.noise_at(own_estimate.at) if known is None else known / shrink)
-        steps = preset.steps or replace(Steps.of(outline, shrink), tested="long")
-        steps = replace(steps, tolerance=max(steps.tolerance, outline.tolerance))
-        fits = sorted(refine(coverage, terms, at, steps, selection), key=lambda fit: fit.score)[:_KEPT]
-        at, count = Posed.stacked([fit.at for fit in fits]), count + coverage.silhouettes
-    fit, before = fits[0], coverage.silhouettes
+    coverage = _coverage(views, outline, lengths, margin)
+    if own_estimate is not None:
+        known = own_estimate.residual
+        coverage = coverage.changed(noise=coverage.noise_at(own_estimate.at) if known is None else known)
+    steps = preset.steps or Steps.of(outline, 1)
+    steps = replace(steps, tolerance=max(steps.tolerance, outline.tolerance))
+    selection = Selection(_SHARE, _GAP, least=_KEPT) if preset.steps is None else ALL
+    fit = min(refine(coverage, terms, Posed.stacked(starts), steps, selection), key=lambda each: each.score)
     if preset.noise == "drawn":
         fit = _drawn_anew(fit, coverage)
         seen = [view.silhouette(image) for view, image in zip(coverage.views, fit.drawn, strict=True)]
     else:
         seen = [view.silhouette(fit.at) for view in views]
-    return fit, coverage, seen, count + coverage.silhouettes - before
+    return fit, coverage, seen
 
 
 def _outline_and_margin(
@@ -319,14 +311,10 @@ def _outline(config: EstimateConfig, preset: FitPreset) -> OutlineConfig:
 
 
 def _coverage(
-    views: Sequence[FrameView],
-    outline: OutlineConfig,
-    lengths: Sequence[float] = (),
-    shrink: int = 1,
-    margin: float = 0.0,
+    views: Sequence[FrameView], outline: OutlineConfig, lengths: Sequence[float] = (), margin: float = 0.0
 ) -> Coverage:
-    """Return the coverage of a frame's views at 1 / ``shrink`` of the image size; the others as in `fit_frame`."""
-    sized = [SizedView(view, blur=outline.blur, shrink=shrink, margin=margin) for view in views]
+    """Return the coverage of a frame's views; arguments as in `fit_frame`."""
+    sized = [SizedView(view, blur=outline.blur, margin=margin) for view in views]
     return Coverage(sized, outline, correlations=lengths)
 
 

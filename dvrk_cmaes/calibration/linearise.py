@@ -18,8 +18,14 @@ from dvrk_cmaes.calibration.blocks import Calibration, OutlineOfView, SeenBlock,
 from dvrk_cmaes.calibration.frame_fit import SIDES_IN_SESSION, with_noise
 from dvrk_cmaes.calibration.model import CommonErrors, SessionModel
 from dvrk_cmaes.calibration.session_frame import Run, StoredFrame
-from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, Solved, inverse_information, marginalise
-from dvrk_cmaes.calibration.variances import solve_with_variances
+from dvrk_cmaes.calibration.solve import (
+    ArmFrames,
+    FrameFits,
+    Solved,
+    inverse_information,
+    marginalise,
+    solve_with_variances,
+)
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.geometry import Float64, Posed, inverse

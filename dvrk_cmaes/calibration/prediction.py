@@ -13,8 +13,8 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Endoscope
 from dvrk_cmaes.calibration.frame_fit import FrameFit, OwnEstimate, fit_frame
 from dvrk_cmaes.calibration.lag import lag_taken_out
+from dvrk_cmaes.calibration.masks_and_sizes import covariance_of_margin
 from dvrk_cmaes.calibration.model import outer_readings
-from dvrk_cmaes.calibration.session_masks import covariance_of_margin
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Bool, Float64, Posed, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS

@@ -26,10 +26,9 @@ from dvrk_cmaes.calibration.linearise import (
     with_mixture,
     with_prior,
 )
+from dvrk_cmaes.calibration.masks_and_sizes import SIZES, MarginEffect, found_sizes, square_of_whole, usual_sizes
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.session_frame import changed
-from dvrk_cmaes.calibration.session_masks import MarginEffect
-from dvrk_cmaes.calibration.session_shaft import SIZES, found_sizes, square_of_whole, usual_sizes
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import CameraConfig, EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -43,7 +42,7 @@ TESTED: Final = ("focal_length", "centre_right", "centre_down")
 """Which of the parameters of a camera are the three unknowns."""
 _OF_LENS: Final = ("aspect", "radial")
 _LENS_CAUSES: Final = "images that were stretched, --rectified with raw images or left out, or the file of another lens"
-_WEAK_STD = np.array([0.3, 0.3, 0.3])  # of the change where it is estimated from the frames
+_WEAK_STD = np.array([0.3, 0.29, 0.29])  # of the change where it is estimated from the frames
 PLAUSIBLE = 2.0  # of these; linearised farther away, outlines leave the image
 _PASSES, _FILE_PASSES = 6, 3  # largest numbers of linearisations of the outlines, also where the file is a measurement
 _LEAST_FRAMES, _MANY_FRAMES = 6, 10

@@ -25,10 +25,10 @@ from dvrk_cmaes.calibration.consensus import (
     find_consensus_at_any_roll,
 )
 from dvrk_cmaes.calibration.endoscope import Pieces, Place, Steered
-from dvrk_cmaes.calibration.endoscope_search import LEAST_PIECE, describe_pieces, find_hand_eye, find_pieces
 from dvrk_cmaes.calibration.frame_fit import starts_of
 from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, in_common
 from dvrk_cmaes.calibration.linearise import linearise
+from dvrk_cmaes.calibration.masks_and_sizes import InstrumentSizes, estimate_margin
 from dvrk_cmaes.calibration.model import Deviations, SessionModel, ecm_readings, frames_alike, outer_readings
 from dvrk_cmaes.calibration.session_camera import (
     CAMERA,
@@ -38,13 +38,11 @@ from dvrk_cmaes.calibration.session_camera import (
     check_camera,
     describe_found,
 )
+from dvrk_cmaes.calibration.session_endoscope import LEAST_PIECE, describe_pieces, find_hand_eye, find_pieces
 from dvrk_cmaes.calibration.session_frame import SessionFrame, fit_task, gather_task
-from dvrk_cmaes.calibration.session_masks import estimate_margin
 from dvrk_cmaes.calibration.session_problem import LEAST_FRAMES, Arms, ArmSession, ArmSetup
 from dvrk_cmaes.calibration.session_rig import turns_of
-from dvrk_cmaes.calibration.session_shaft import InstrumentSizes
-from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, solve_arms, solve_with_modes
-from dvrk_cmaes.calibration.variances import solve_with_variances
+from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, solve_arms, solve_with_modes, solve_with_variances
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError

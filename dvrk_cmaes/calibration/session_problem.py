@@ -16,6 +16,10 @@ from dvrk_cmaes.calibration.consensus import (
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.lag import SessionLag
 from dvrk_cmaes.calibration.linearise import ArmOutlines
+from dvrk_cmaes.calibration.masks_and_sizes import (
+    MaskMargin,
+    SessionMasks,
+)
 from dvrk_cmaes.calibration.model import CommonErrors, SessionModel
 from dvrk_cmaes.calibration.session_camera import (
     CameraChange,
@@ -23,10 +27,6 @@ from dvrk_cmaes.calibration.session_camera import (
     file_deviations,
 )
 from dvrk_cmaes.calibration.session_frame import Run, SessionFrame, StoredFrame
-from dvrk_cmaes.calibration.session_masks import (
-    MaskMargin,
-    SessionMasks,
-)
 from dvrk_cmaes.calibration.session_rig import ViewRotation
 from dvrk_cmaes.calibration.solve import (
     FrameFits,

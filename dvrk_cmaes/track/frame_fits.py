@@ -22,8 +22,8 @@ from dvrk_cmaes.calibration.frame_fit import (
     OwnEstimate,
     fit_frame,
 )
+from dvrk_cmaes.calibration.masks_and_sizes import SessionMasks
 from dvrk_cmaes.calibration.session_frame import StoredView
-from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.field_of_view import outside_view

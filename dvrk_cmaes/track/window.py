@@ -18,10 +18,10 @@ import numpy as np
 
 from dvrk_cmaes import _kernel
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.masks_and_sizes import covariance_of_margin
 from dvrk_cmaes.calibration.prediction import Prediction
 from dvrk_cmaes.calibration.session_doubts import resting_on
 from dvrk_cmaes.calibration.session_frame import StoredView
-from dvrk_cmaes.calibration.session_masks import covariance_of_margin
 from dvrk_cmaes.calibration.solve import robust_weights
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
