@@ -11,7 +11,7 @@ PIP := $(BIN)/python -m pip install --disable-pip-version-check --no-compile
 demo: $(VENV)/.package
 	$(BIN)/dvrk-cmaes demo
 
-# a process of tests for each core: more threads of BLAS in each would only wait for each other; what one process has
+# as many processes as tests/conftest.py says: more threads of BLAS in each would only wait for each other; what one has
 # compiled serves those that the tests start, also where the environment forbids to keep it
 test: $(VENV)/.tools
 	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses=auto --dist=loadfile --no-loadscope-reorder $(TESTS)

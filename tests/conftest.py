@@ -88,6 +88,12 @@ def _keep_files_in_memory() -> None:
         tempfile.tempdir = None  # is found anew
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """Take one process more than there are cores: some tests wait for servers, and for processes that they end."""
+    return (os.cpu_count() or 1) + 1
+
+
 def order(item: pytest.Item) -> tuple[int, str]:
     """Give the place of a test's file in LONGEST, and the file."""
     return LONGEST.index(item.path.stem) if item.path.stem in LONGEST else len(LONGEST), str(item.path)
