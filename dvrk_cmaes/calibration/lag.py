@@ -145,6 +145,17 @@ class LagCurve(Document):
         weights = np.exp(-0.5 * (squares + (self.lags / unknown) ** 2))
         return float(min(np.sqrt(weights @ (self.lags - about) ** 2 / weights.sum()), np.hypot(unknown, about)))
 
+    def shows(self, value: float, frames: int) -> bool:
+        """Whether frames agree better at a lag than at none, by `_SIGNIFICANT` standard deviations of their scatter.
+
+        Lags within one step of none are not distinguished by the curve, and count as shown.
+        """
+        about = np.abs(self.lags - value) < np.diff(self.lags).max(initial=0.0)
+        if about[np.abs(self.lags).argmin()]:
+            return True
+        gain = np.interp(0.0, self.lags, self.misfit) - self.misfit[about].min(initial=np.inf)
+        return bool(_FREEDOM_OF_A_FRAME * frames * gain > _SIGNIFICANT**2 * self.misfit.min())
+
     def least_std(self, frames: int, unknown: float, value: float, *, applied: bool) -> float:
         """Return the least standard deviation of a lag, in the unit of the curve: 0 where the curve shows the lag.
 
@@ -358,8 +369,11 @@ class SessionLag:
 
     # what is known of the lag
 
-    def with_estimate(self, found: tuple[float, float] | None) -> SessionLag:
-        """Return a lag that was estimated, to be taken out if it is significant, or why it is not determined."""
+    def with_estimate(self, found: tuple[float, float] | None, *, shown: bool) -> SessionLag:
+        """Return a lag that was estimated, to be taken out if it is significant, or why it is not determined.
+
+        ``shown`` is whether the curve shows it, too: otherwise it may come from errors that near frames share.
+        """
         if found is None:
             text = "the frames' disagreement has no minimum there, or too few frames have readings"
             return replace(self, lag=None, undetermined=text)
@@ -367,7 +381,7 @@ class SessionLag:
         if std > _LARGEST_STD * series.interval:
             text = f"standard deviation {std / series.interval:.1f} frames; {MOVE}"
             return replace(self, lag=None, undetermined=text)
-        significant = abs(value) > max(_SIGNIFICANT * std, _LEAST_LAG * series.interval)
+        significant = shown and abs(value) > max(_SIGNIFICANT * std, _LEAST_LAG * series.interval)
         lag = Lag.of(value, std, series.unit, series.interval, applied=significant)
         return replace(self, lag=lag, undetermined="")
 
@@ -443,7 +457,10 @@ class SessionLag:
                 "repeats itself: --lag, if it is known, or a recording of another motion"
             )
         found = replace(self, curve=curve, undetermined=text, nowhere=bool(nowhere))
-        return found if text else found.with_estimate(found._refined(model, modes, float(lags[best])))
+        if text:
+            return found
+        refined = found._refined(model, modes, float(lags[best]))
+        return found.with_estimate(refined, shown=refined is not None and curve.shows(refined[0], len(modes)))
 
     def _costs(
         self, model: SessionModel, modes: Sequence[Sequence[Mode]], low: float, high: float, step: float
@@ -501,7 +518,8 @@ def in_common(lags: Sequence[SessionLag]) -> list[SessionLag]:
     values, stds = found.T
     weights = stds**-2.0
     mean = float(weights @ values / weights.sum())
-    shared = [lag.with_estimate((mean, float(weights.sum() ** -0.5))) for lag in lags]
+    shown = any(lag.curve is not None and lag.curve.shows(mean, len(lag.times)) for lag in lags)
+    shared = [lag.with_estimate((mean, float(weights.sum() ** -0.5)), shown=shown) for lag in lags]
     agree = (np.abs(values - mean) <= _AGREE * stds).all()
     usable = all(lag.lag is not None and lag.has_readings(lag.value).sum() >= _LEAST_AT_LAG for lag in shared)
     return shared if agree and usable else list(lags)
