@@ -12,7 +12,7 @@ from helpers.session_worlds import SMALL, make_frames_in_memory
 
 from dvrk_cmaes import Body, FrameData, SessionCalibration, SessionFrame, TrackResult, calibrate_session
 from dvrk_cmaes.calibration.document import Agreement
-from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG
+from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, LagCurve
 from dvrk_cmaes.calibration.session_camera import stated_camera
 from dvrk_cmaes.calibration.session_doubts import (
     bad_predictions,
@@ -165,3 +165,8 @@ def test_joints_far_from_what_is_expected_of_an_image_are_a_doubt(
     text = "".join(far_joints(found, there, spread, ("wrist_pitch", "wrist_yaw", "jaw")))
     assert expected in text
     assert bool(text) == bool(expected)
+
+
+@pytest.mark.parametrize(("misfits", "shown"), [([0.24, 0.24, 0.24, 0.24], False), ([0.24, 0.24, 0.2, 0.23], True)])
+def test_lag_is_shown_by_frames_that_agree_better_at_it_than_at_none(misfits: list[float], *, shown: bool) -> None:
+    assert LagCurve("frames", tuple(enumerate(misfits))).shows(2.2, 60) == shown
