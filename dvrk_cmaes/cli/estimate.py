@@ -260,7 +260,8 @@ def _lines(result: Result, written: Sequence[Path]) -> Iterator[Line]:
     accuracy, *fit = result_lines(result)
     yield Line(f"{result.frame}: {accuracy}, {result.status}", STATUS_STYLES[result.status])
     yield from (Line(f"  {text}", "yellow") for text in result.reasons)
-    yield from (Line(f"  {text}") for text in (*fit, *(f"not used: {text}" for text in result.unused)))
+    unused = (text for text in result.unused if result.readings or not text.startswith("reading of"))
+    yield from (Line(f"  {text}") for text in (*fit, *(f"not used: {text}" for text in unused)))
     for table in result_tables(result):
         yield from table_lines(table)
     yield Line(f"{result.seconds:.2f} s, {result.evaluations} silhouettes")

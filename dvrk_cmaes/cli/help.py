@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import ClassVar
 
@@ -35,7 +35,7 @@ def help_topic(topic: str | None = None, /, *, search: str | None = None) -> int
     """
     pages = topic_pages()
     if topic is None and search is None:
-        show(_listing(pages))
+        _print_markdown(_listing(pages))
         return 0
     if topic is not None and topic not in pages:
         from dvrk_cmaes.io.short_text import shown
@@ -56,13 +56,11 @@ def topic_pages() -> dict[str, Path]:
     return {path.stem: path for path in sorted(bundled_path("reference").glob("*.md"))}
 
 
-def _listing(pages: Mapping[str, Path]) -> Iterator[Line]:
-    """Give one line for each topic: its name and the title of its page."""
-    yield Line("Topics of dvrk-cmaes help TOPIC", "bold")
-    width = max(map(len, pages), default=0)
-    for topic, path in pages.items():
-        title = path.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
-        yield Line(f"  {topic:<{width}s}  {title}")
+def _listing(pages: Mapping[str, Path]) -> str:
+    """Return a table of the topics and the titles of their pages, in Markdown."""
+    titles = [path.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ") for path in pages.values()]
+    rows = (f"| {topic} | {title} |" for topic, title in zip(pages, titles, strict=True))
+    return "\n".join(["| TOPIC | what `dvrk-cmaes help TOPIC` prints |", "| --- | --- |", *rows])
 
 
 def _lines_with(text: str, pages: Mapping[str, Path]) -> list[Line]:

@@ -278,7 +278,7 @@ def live(
     show(Line(f"written: {path}") for path in written)
     if output.out is not None and len(written) < len(topics.psm):
         missing = f"{len(topics.psm) - len(written)} of {len(topics.psm)}"
-        note(f"{output.out}: {SESSION} of {missing} arms not written: no base yet")
+        note(f"{output.out}: {SESSION} of {missing} arms not written: keyframes have not determined a base")
     return 0
 
 

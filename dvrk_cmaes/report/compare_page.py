@@ -30,7 +30,7 @@ def write_compare_page(out: Path, comparison: Comparison) -> Path:
     )
     figures = [
         KeyFigure(
-            f"{labels[k]}: tips from {reference}, median",
+            f"{labels[k]} ({comparison.sets[k].path.name}): tips from {reference}, median",
             f"{spread.median:.2f} mm",
             f"largest {spread.largest:.2f} mm ({spread.frame})",
         )
