@@ -24,7 +24,7 @@ from dvrk_cmaes.frames.label import ANY, Label, LabelText, named, parse_label, s
 from dvrk_cmaes.frames.label import EXPECTED as LABEL
 from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.io.files import read_bytes
-from dvrk_cmaes.io.image_header import ImageHeader, check_pixels, checked_png, foreign, palette_as_grey, read_header
+from dvrk_cmaes.io.image_header import ImageHeader, checked_header, checked_png, palette_as_grey
 from dvrk_cmaes.io.short_text import shown
 
 _LARGEST = 400_000_000  # bytes
@@ -116,7 +116,7 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
     InputError
         The file is not a PNG or JPEG that can be decoded.
     """
-    data, _ = _read_file(path, "an image")
+    data, _ = read_image_file(path, "an image")
     return decode_image(path, data, "an image", cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
 
 
@@ -165,17 +165,11 @@ def match_size(
     return replace(scaled, remarks=(*camera.remarks, note)), note
 
 
-def _read_file(path: str | Path, what: str) -> tuple[bytes, ImageHeader]:
-    """Read the bytes and the header of a PNG or JPEG of at most `MOST_PIXELS` pixels."""
+def read_image_file(path: str | Path, what: str) -> tuple[bytes, ImageHeader]:
+    """Read the bytes and the header of a whole PNG or JPEG of at most `MOST_PIXELS` pixels."""
     expected = f"{what} (PNG or JPEG)"
     data = read_bytes(path, expected=expected, largest=_LARGEST)
-    header = read_header(data)
-    if header is None:
-        raise InputError(f"{path}: expected {expected}, got {foreign(data)}")
-    check_pixels(str(path), header.width, header.height)
-    if not header.whole:
-        raise InputError(f"{path}: expected {expected}, got one that is cut off or damaged")
-    return data, header
+    return data, checked_header(data, str(path), expected)
 
 
 def decode_image(path: str | Path, data: bytes, what: str, flags: int) -> NDArray[Any]:
@@ -225,7 +219,7 @@ def _read_labels(path: str | Path, label: Label) -> NDArray[np.integer]:
     name = next((part for part in label if isinstance(part, str) and part != ANY and not part.startswith("#")), None)
     if name is not None:
         raise InputError(f"{path}: label: expected {LABEL}, got {shown(name)} (names are those of categories in JSON)")
-    data, header = _read_file(path, what)
+    data, header = read_image_file(path, what)
     if any(isinstance(part, str) and part.startswith("#") for part in label):
         if len(label) > 1 and not all(isinstance(part, str) for part in label):
             raise InputError(f"{path}: label: expected either colours or values, got {', '.join(map(str, label))}")
@@ -246,7 +240,7 @@ def _read_labels(path: str | Path, label: Label) -> NDArray[np.integer]:
 
 def _read_grey(path: str | Path, what: str) -> NDArray[np.uint8]:
     """Read a grey image (H, W) of 8 bits or of 1, or one with equal channels."""
-    data, header = _read_file(path, what)
+    data, header = read_image_file(path, what)
     if header.bits not in (1, 8):  # of one bit, OpenCV makes 0 and 255
         hint = " (--label any takes them)" if what == "a mask" else ""
         raise InputError(f"{path}: not 8-bit: expected {what} of 8 bits a pixel, got {header.bits} bits{hint}")

@@ -64,6 +64,17 @@ def check_pixels(where: str, width: int, height: int) -> None:
         raise InputError(f"{where}: expected {least} {MOST_PIXELS // 10**6} megapixels, got {width} x {height}")
 
 
+def checked_header(data: bytes, where: str, expected: str) -> ImageHeader:
+    """Return the header of a whole PNG or JPEG of at most `MOST_PIXELS`; InputError, which begins with ``where``."""
+    header = read_header(data)
+    if header is None:
+        raise InputError(f"{where}: expected {expected}, got {foreign(data)}")
+    check_pixels(where, header.width, header.height)
+    if not header.whole:
+        raise InputError(f"{where}: expected {expected}, got one that is cut off or damaged")
+    return header
+
+
 _FOREIGN = (
     (b"<", b"<annotations", "CVAT's XML: export as COCO 1.0 (masks.json), or Segmentation mask 1.1"),
     (b"[", b'"annotations"', "Label Studio's JSON: export as COCO, or as PNG masks"),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.geometry import Float64, exp_rotation, transform
 from dvrk_cmaes.instrument.endoscope import joints_of_ecm_tip
-from dvrk_cmaes.io.image_header import check_pixels, read_header
+from dvrk_cmaes.io.image_header import check_pixels, checked_header, read_header
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.names import OUTER_JOINTS, accepted_names, joints_by_count, joints_of_arm
@@ -89,12 +89,7 @@ def encode_png(pixels: NDArray[np.uint8]) -> bytes:
 
 def stored_image(data: bytes, where: str) -> bytes:
     """Return the bytes of a PNG or JPEG file as they are; InputError, which begins with ``where``, for others."""
-    header = read_header(data)
-    if header is None:
-        raise InputError(f"{where}: expected a PNG or JPEG, got something else or a damaged file")
-    check_pixels(where, header.width, header.height)
-    if not header.whole:
-        raise InputError(f"{where}: expected a whole PNG or JPEG, got one that is cut off or damaged")
+    checked_header(data, where, "a PNG or JPEG")
     return data
 
 

@@ -39,8 +39,8 @@ import numpy as np
 from dvrk_cmaes.camera.files import Side, read_document
 from dvrk_cmaes.camera.stereo import has_pose, pose_of_storage
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.images import read_image_file
 from dvrk_cmaes.frames.video_frames import Video
-from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.json_file import read_json, read_json_object
 from dvrk_cmaes.io.parquet_file import field_names, read_columns
 from dvrk_cmaes.io.short_text import listed, shown
@@ -49,7 +49,6 @@ from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, weighted
 from dvrk_cmaes.joints.names import ECM_JOINTS, joint_reading, joints_by_count
 from dvrk_cmaes.joints.times import parse_stamp, parse_time
 from dvrk_cmaes.recording.camera import read_camera_bytes
-from dvrk_cmaes.recording.messages import stored_image
 from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording, listed_readings
 from dvrk_cmaes.recording.video import images_of
 
@@ -251,7 +250,6 @@ ECM: Final = "ECM"
 
 _CAMERAS: Final = "camera_calibration"
 _STEREO: Final = "stereo_calib_params.json"
-_LARGEST: Final = 400_000_000  # bytes of an image
 _FARTHEST: Final = NANOSECONDS // 20  # of the readings of a frame from its image
 _WIDEST_GAP: Final = NANOSECONDS // 4  # between readings that are interpolated
 _IMAGES: Final = (".png", ".jpg")
@@ -295,7 +293,7 @@ def open_surgsync(path: Path, asked: Asked) -> Recording:
                 notes.append(f"{' '.join(ECM_JOINTS)}: kinematic/{ECM}")
             except InputError as error:
                 notes.append(f"the endoscope's arm is not read: {error}")
-    recorded = (RecordedImage(number, times[number][0], partial(_load, file)) for number, file in images.items())
+    recorded = (RecordedImage(k, times[k][0], partial(_load, file)) for k, file in images.items())
     return Recording(path, recorded, len(images), camera_bytes, {"": readings}, tuple(notes))
 
 
@@ -328,7 +326,7 @@ def _images(path: Path, side: Side) -> dict[int, Path]:
 
 def _load(file: Path) -> bytes:
     """Read an image; its file is copied unchanged."""
-    return stored_image(read_bytes(file, expected="an image (PNG or JPEG)", largest=_LARGEST), str(file))
+    return read_image_file(file, "an image")[0]
 
 
 def chosen_arm(path: Path, arms: Sequence[str], arm: str | None, what: str) -> str:

@@ -120,7 +120,7 @@ def test_wrong_clips_are_refused(refused: Refused, tmp_path: Path) -> None:
     )
     (clip / "image/left/1.png").write_bytes(b"no image")
     assert refused(clip, "--arm", "PSM1") == (
-        f"{clip}/image/left/1.png: expected a PNG or JPEG, got something else or a damaged file"
+        f"{clip}/image/left/1.png: expected an image (PNG or JPEG), got something else or a damaged file"
     )
     said = refused(clip, "--arm", "PSM1", "--image-topic", "/left")
     assert said == f"{clip}: --image-topic: expected a ROS recording with it, got a clip of SurgSync"

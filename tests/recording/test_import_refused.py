@@ -152,7 +152,7 @@ def test_missing_or_ambiguous_topics_are_refused(
         ),
         (
             with_image(compressed(BEGIN, cv2.imencode(".png", pixels(0))[1].tobytes()[:-20])),
-            "/left/image_raw/compressed: image 0: expected a whole PNG or JPEG, got one that is cut off or damaged",
+            "/left/image_raw/compressed: image 0: expected a PNG or JPEG, got one that is cut off or damaged",
         ),
         (
             [*good(2), image(BEGIN + SECOND, pixels(0)[:40])],
