@@ -2,5 +2,5 @@
 
 The modules in the table of ``readers`` open a recording as a ``Recording`` (module ``recording``), which
 ``write_session`` writes as a session folder. ``topics`` selects the topics of a bag, ``messages`` and ``camera``
-convert its messages, and ``pose_table`` reads time-stamped readings and poses from a file.
+convert its messages, and ``pose_table`` finds the joints of Cartesian poses.
 """

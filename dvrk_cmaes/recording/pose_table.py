@@ -1,4 +1,4 @@
-"""Time-stamped readings from a file given with a recording: of joints, or of poses by inverse kinematics.
+"""Joints of an arm's Cartesian poses, by inverse kinematics: those of a table given with a recording, or of its own.
 
 A table of the arm's measured Cartesian poses is CSV: ``time`` (s), the position ``x``, ``y``, ``z`` (m), the unit
 quaternion ``qx``, ``qy``, ``qz``, ``qw``, and, if known, ``jaw`` (rad). Which frames the poses relate is not in such
