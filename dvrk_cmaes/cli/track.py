@@ -308,7 +308,7 @@ def _lines(arm: TrackedArm) -> Iterator[Line]:
     from dvrk_cmaes.results.tracked import VIDEO
 
     counts = ", ".join(f"{arm.counts[name]} {name}" for name in ("ok", "doubtful", "lost") if arm.counts.get(name))
-    yield Line(f"{counted(len(arm.rows), 'frame')}: {counts}", "bold")
+    yield Line(f"{counted(len(arm.rows), 'frame')}: {counts or 'interrupted'}", "bold")
     yield from reason_lines({row["frame"]: row["reasons"] for row in arm.rows})
     if arm.calibration is not None:
         yield from found_lines(arm.calibration)
