@@ -129,7 +129,7 @@ def tracked(items: Iterable[T], what: str, total: int | None = None) -> Iterable
 
 @contextlib.contextmanager
 def progress(arm: str = "") -> Iterator[Callable[[int, int, str], None]]:
-    """Give a function that shows how many frames of all are done, and more: in a bar on a terminal, or in lines.
+    """Give a function that shows how many of all frames or parts are done: in a bar on a terminal, or in lines.
 
     A smaller number than before begins another stage. Within another one it is that one's.
     """
@@ -143,7 +143,7 @@ def progress(arm: str = "") -> Iterator[Callable[[int, int, str], None]]:
     said = TextColumn("{task.fields[said]}")
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), said)
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task(f"{arm} frames".strip(), total=None, said="starting")
+        task = bar.add_task(arm or "done", total=None, said="starting")
 
         def report(done: int, total: int, more: str = "") -> None:
             nonlocal started, last, before
@@ -156,7 +156,7 @@ def progress(arm: str = "") -> Iterator[Callable[[int, int, str], None]]:
             before = now
             if not console.is_terminal and now - last >= _LINE_EVERY:
                 last = now
-                note(f"{arm}: " * bool(arm) + f"{done} of {total} frames, {rate}{more}")
+                note(f"{arm}: " * bool(arm) + f"{done} of {total} done, {rate}{more}")
 
         _shown.append(report)
         try:
