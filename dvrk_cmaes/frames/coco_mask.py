@@ -78,7 +78,7 @@ def _annotations(
     if isinstance(document.get("shapes"), list):
         shapes = [shape for shape in document["shapes"] if isinstance(shape, Mapping)]
         size = _size(path, "imageHeight, imageWidth", (document.get("imageHeight"), document.get("imageWidth")))
-        return size, [([_flat(shape.get("points"))], frozenset({str(shape.get("label"))})) for shape in shapes]
+        return size, [([shape.get("points")], frozenset({str(shape.get("label"))})) for shape in shapes]
     if isinstance(document.get("images"), list):
         return _of_data_set(path, document, name)
     if "counts" in document:
@@ -171,15 +171,6 @@ def _size(path: Path, field: str, value: Any) -> tuple[int, int]:
         raise InputError(f"{path}: {field}: expected height and width in pixels, got {shown(value)}")
     check_pixels(f"{path}: {field}", pair[1], pair[0])
     return pair[0], pair[1]
-
-
-def _flat(points: Any) -> Any:
-    """Return the coordinates of points [[x, y], ...] one after the other; other values as they are."""
-    return (
-        [value for point in points for value in point]
-        if isinstance(points, list) and points and isinstance(points[0], list)
-        else points
-    )
 
 
 def _stem(name: str) -> str:

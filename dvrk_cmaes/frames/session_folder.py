@@ -68,6 +68,7 @@ _CAMERAS = (
     *("camera_info.yaml", "camera_calibration.txt", "calibration.yaml"),
 )
 _TABLES = ("images.csv", "keypoints.csv", "boxes.csv", "markers.csv", "poses.csv")
+_NOT_MASKS = ("images", "ignore", "golden.json", "run.json")
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 _TOPIC_DUMP = re.compile(r"(.*_)?(measured_js|state_joint_current|state_jaw_current)\.(csv|ya?ml|txt)", re.IGNORECASE)
 
@@ -472,12 +473,7 @@ def _unused(root: Path, *, masks: bool, joints: bool) -> Iterator[str]:
     """Yield what a session folder has under other names than those that are read: of masks, and of readings."""
     for path in sorted(root.iterdir()) if masks or joints else ():
         pictures = path.is_dir() and any(inner.suffix.lower() in _IMAGE_SUFFIXES for inner in path.iterdir())
-        of_masks = (pictures or path.suffix == ".json") and path.name not in (
-            "images",
-            "ignore",
-            "golden.json",
-            "run.json",
-        )
+        of_masks = (pictures or path.suffix == ".json") and path.name not in _NOT_MASKS
         if (masks and of_masks) or (joints and path.suffix.lower() == ".csv" and path.name not in _TABLES):
             yield path.name
 

@@ -304,11 +304,6 @@ def _whole_number(where: str, name: str, cell: str) -> str:
     raise InputError(f"{where}: {name}: expected a whole number, got {shown(cell)}")
 
 
-def _timestamp(where: str, cell: str) -> int:
-    """Parse the time of a message, ns; data_collection writes whole nanoseconds, also for small numbers."""
-    return int(cell) if cell.isdecimal() and len(cell) < 19 else parse_time(where, cell)
-
-
 def _topic_table(
     path: str, header: list[str], rows: Rows, comments: dict[str, str], names: Sequence[str], arm: str | None
 ) -> JointFile:
@@ -323,7 +318,8 @@ def _topic_table(
     for where, cells in rows:
         filled = [name for name in columns if cells[name]]
         stated = [cells.get(name.replace("position", "name"), "") for name in filled]
-        time = _timestamp(where, cells["timestamp"]) if filled else None
+        stamp = cells["timestamp"]  # data_collection writes whole nanoseconds, also for small numbers
+        time = parse_time(where, stamp, 1 if stamp.isdecimal() else None) if filled else None
         messages.append((where, stated if any(stated) else [], [cells[name] for name in filled], time))
     described = f"JointState topic {comments.get('topic') or ''}".rstrip() + " (data_collection CSV)"
     return file_of_messages(path, described, messages, names, arm)

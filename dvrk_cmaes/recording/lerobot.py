@@ -117,19 +117,16 @@ def _place(path: Path, file: Path, info: Mapping[str, Any], key: str, episode: i
         return _formatted(path, file, info, "data_path", both), _formatted(path, file, info, "video_path", both), 0.0
     if version != "v3.0":
         raise InputError(f"{file}: codebase_version: expected v2.1 or v3.0, got {shown(version)}")
-    data, video = ("data/chunk_index", "data/file_index"), f"videos/{key}/"
-    names = ("episode_index", *data, f"{video}chunk_index", f"{video}file_index", f"{video}from_timestamp")
+    film, indices = f"videos/{key}/", ("chunk_index", "file_index")
+    begin, names = f"{film}from_timestamp", [f"{part}{name}" for part in ("data/", film) for name in indices]
     for table in sorted((path / "meta" / "episodes").rglob("*.parquet")):
-        columns = read_columns(table, names)
+        columns = read_columns(table, ("episode_index", *names, begin))
         if episode in columns["episode_index"]:
-            row = {name: columns[name][columns["episode_index"].index(episode)] for name in names}
-            of_data = {"chunk_index": row[data[0]], "file_index": row[data[1]]}
-            of_video = {"chunk_index": row[names[3]], "file_index": row[names[4]], "video_key": key}
-            places = (
-                _formatted(path, file, info, "data_path", of_data),
-                _formatted(path, file, info, "video_path", of_video),
-            )
-            return *places, _number(table, names[5], row[names[5]], least=0.0)
+            row = {name: cells[columns["episode_index"].index(episode)] for name, cells in columns.items()}
+            data, video = ({name: row[f"{part}{name}"] for name in indices} for part in ("data/", film))
+            of_data = _formatted(path, file, info, "data_path", data)
+            of_video = _formatted(path, file, info, "video_path", {**video, "video_key": key})
+            return of_data, of_video, _number(table, begin, row[begin], least=0.0)
     raise InputError(f"{path}/meta/episodes: expected episode {episode}, got none")
 
 
