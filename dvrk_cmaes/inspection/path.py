@@ -32,9 +32,10 @@ from dvrk_cmaes.frames.published_layout import is_published_layout
 from dvrk_cmaes.frames.session_folder import WARNED, Session, read_session
 from dvrk_cmaes.frames.session_toml import ToolEntry, read_session_toml
 from dvrk_cmaes.frames.truth import read_golden
-from dvrk_cmaes.frames.video_frames import Video
+from dvrk_cmaes.frames.video_frames import SUFFIXES, Video
 from dvrk_cmaes.io.csv_file import separator_of
 from dvrk_cmaes.io.files import check_file
+from dvrk_cmaes.io.image_header import PNG
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import counted, is_number, listed
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
@@ -47,11 +48,9 @@ from dvrk_cmaes.recording.lerobot import is_lerobot
 from dvrk_cmaes.recording.topics import is_bag
 from dvrk_cmaes.results.folder import is_followed, read_result, read_results
 
-_VIDEOS: Final = (".mp4", ".avi", ".mkv", ".mov")
 _PICTURES: Final = (".png", ".jpg", ".jpeg")
 _EXPECTED = "a file or folder to look at"
 _KNOWN = "a camera file, joint readings, a mask, an image, a URDF, or a JSON document of a known kind"
-_IMAGE_STARTS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8")
 _START = 65536  # bytes read to recognise the format
 _ROOT = re.compile(rb"<\s*(?!\?|!)([\w:.-]+)")
 _LABEL_RULES = {
@@ -136,9 +135,9 @@ def inspect_path(path: str | Path, options: Options | None = None) -> Finding:
     if is_bag(file):
         return _inspect_bag(file)
     suffix = file.suffix.lower()
-    if suffix in _VIDEOS:
+    if suffix in SUFFIXES:
         return _inspect_video(file)
-    if start.startswith(_IMAGE_STARTS):
+    if start.startswith((PNG, b"\xff\xd8")):
         return _inspect_picture(file)
     if start.startswith(b"\x93NUMPY"):
         return _inspect_joints(file, settings)
@@ -415,7 +414,7 @@ def _inspect_folder(path: Path, options: Options) -> Finding:
         words = ("import", path, "--episode", 0, "--camera", "camera.yaml", "--out", "session")
         return Finding("LeRobot data set", (_next_command(*words), "no camera file: --camera is needed"))
     pictures = [p for p in sorted(path.iterdir()) if p.suffix.lower() in _PICTURES and not p.name.startswith(".")]
-    videos = [file for file in path.iterdir() if file.suffix.lower() in _VIDEOS and file.name != "video.mp4"]
+    videos = [file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and file.name != "video.mp4"]
     if len(videos) == 1 and not pictures and not (path / "images").exists():
         return _inspect_video(videos[0])
     subfolders = any((path / name).exists() for name in ("masks", "images", "session.toml", "camera.yaml"))

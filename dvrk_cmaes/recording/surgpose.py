@@ -134,7 +134,11 @@ def open_surgpose(path: Path, asked: Asked) -> Recording:
         arms were recorded and none was chosen.
     """
     rows = _by_frame(path / _READINGS, read_yaml_by_frame(path / _READINGS, expected="joints by frame (YAML)"))
-    chosen, side, camera = _chosen_arm(path, rows, asked.arm), asked.eye, asked.camera
+    first, side, camera = next(iter(rows.values()), None), asked.eye, asked.camera
+    if not isinstance(first, Mapping) or not first:
+        expected = "joints by the name of the arm in each frame"
+        raise InputError(f"{path / _READINGS}: expected {expected}, got {shown(first)}")
+    chosen = chosen_arm(path, [str(name) for name in first], asked.arm, "folder")
     if asked.joints is None:
         readings, source = _readings(path / _READINGS, rows, chosen), f"{_READINGS}, {chosen}"
         jaw, of_jaw = _jaw(path, chosen) if "jaw" not in readings[0].joints else ((), [])
@@ -174,16 +178,6 @@ def _by_frame(path: Path, document: Any) -> dict[int, Any]:
             raise InputError(f"{path}: {shown(key)}: expected the number of a frame")
         rows[int(text)] = value
     return dict(sorted(rows.items()))
-
-
-def _chosen_arm(path: Path, rows: Mapping[int, Any], arm: str | None) -> str:
-    """Return the requested arm, or the only one of the readings."""
-    first = next(iter(rows.values()), None)
-    if not isinstance(first, Mapping) or not first:
-        raise InputError(
-            f"{path / _READINGS}: expected joints by the name of the arm in each frame, got {shown(first)}"
-        )
-    return chosen_arm(path, [str(name) for name in first], arm, "folder")
 
 
 def _readings(path: Path, rows: Mapping[int, Any], arm: str) -> tuple[TimedReadings, ...]:
