@@ -297,7 +297,7 @@ def _described(
     from dvrk_cmaes.io.json_file import write_json
     from dvrk_cmaes.io.output import output as folder_of_command
     from dvrk_cmaes.live.follow import ArmSetup, LiveSetup
-    from dvrk_cmaes.results.folder import SESSION, check_writable
+    from dvrk_cmaes.results.folder import SESSION
     from dvrk_cmaes.runs.pool import Pool
     from dvrk_cmaes.runs.solver_process import SolverProcess
 
@@ -319,7 +319,6 @@ def _described(
         folder = None if output.out is None else output.out / (arm if len(topics.psm) > 1 else "")
         if folder is not None:
             stack.enter_context(folder_of_command(folder, "live")).refuse((SESSION,))
-            check_writable(folder)
         solver = partial(SolverProcess, body, background=True)
         save = None if folder is None else partial(write_json, folder / SESSION)
         arms.append(ArmSetup(names[arm], body, instrument.kinematics, known, solver, save, settings, lag))

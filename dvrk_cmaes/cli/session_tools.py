@@ -105,7 +105,7 @@ def _read_arm(
         warn(f"{folder}: {text}")
     known = calibrated.read(body, given.instrument.arm, tool.arm)
     method = FrameMethod(given.instrument.arm or tool.kinematics or "classic", settings, known)
-    return ArmInSession(session, body, method, tool.arm)
+    return ArmInSession(session, body, method)
 
 
 _MOST_REASONS = 8

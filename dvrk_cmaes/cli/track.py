@@ -236,7 +236,7 @@ def track(
         answer_by_arm(counts, {name: _lines(arm) for name, arm in finished.items()}, json=json)
         for name, arm in finished.items():
             own = () if arm.calibration is None else arm.calibration.warnings
-            for text in dict.fromkeys((*arm.session.rig.remarks, *own)):
+            for text in dict.fromkeys((*arm.session.rig.remarks, *arm.remarks, *own)):
                 warn(text, name)
         for text in filter(None, doubts):
             warn(text)

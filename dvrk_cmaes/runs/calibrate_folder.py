@@ -41,7 +41,7 @@ from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.calibration_pictures import draw_task
 from dvrk_cmaes.runs.frame import ArmInSession
 from dvrk_cmaes.runs.manifest import frame_stamps, manifest_of
-from dvrk_cmaes.runs.pool import Pool, run_with_body
+from dvrk_cmaes.runs.pool import Pool, run_in
 
 CAMERA = "camera.yaml"
 """File of the camera with which the session was solved, where that is not the session's own; of a rig, VIEW.yaml."""
@@ -86,7 +86,7 @@ def begin_folder(
         frames.append(SessionFrame(name, functools.partial(read_frame, own, session.rig), result, own.keypoints))
     if not all(each.has_mask for each in session.frames):
         config = config.with_alike_masks()
-    run, refined = functools.partial(run_with_body, pool, arm.body, config), (refine_camera or session.guessed)
+    run, refined = run_in(pool, arm.body, config), (refine_camera or session.guessed)
     series, kinematics = session.reading_series(), arm.method.arm
     setup = ArmSetup(series, instrument, kinematics, config, run, progress, refined, session.guessed, lag=lag)
     return begin_arm(frames, setup).then(functools.partial(_written, arm, out, alone, files, setup))

@@ -30,15 +30,11 @@ from dvrk_cmaes.silhouette import Body
 
 @dataclass(frozen=True, eq=False)
 class ArmInSession:
-    """An arm of a session: the session as it sees it, its instrument, and how its frames are solved.
-
-    ``name`` is that in session.toml, empty without one.
-    """
+    """An arm of a session: the session as it sees it, its instrument, and how its frames are solved."""
 
     session: Session
     body: Body
     method: FrameMethod
-    name: str = ""
 
     def with_config(self, config: EstimateConfig) -> ArmInSession:
         """Return the arm with other settings."""

@@ -35,6 +35,7 @@ from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.runs.live_session import prepare_long_run
 
 if TYPE_CHECKING:
+    from dvrk_cmaes.calibration.session_frame import Run
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.silhouette import Body
 
@@ -376,15 +377,10 @@ def further_processes(workers: int, frames: int) -> int:
     return min(workers - 1, frames // _PAYS)
 
 
-def run_with_body(
-    pool: Pool,
-    body: Body,
-    config: EstimateConfig,
-    function: Callable[[Body, EstimateConfig, Any], Any],
-    tasks: Sequence[Any],
-) -> list[Any]:
-    """Return the values of a function of body, settings and task, in the tasks' order; errors as of `Pool.values`."""
-    return pool.values(functools.partial(_with_body, packed(body), config, function), tasks)
+def run_in(pool: Pool, body: Body, config: EstimateConfig) -> Run[Any, Any]:
+    """Return what applies a function of body, settings and task to tasks; errors as of `Pool.values`."""
+    shared = packed(body)
+    return lambda function, tasks: pool.values(functools.partial(_with_body, shared, config, function), tasks)
 
 
 def _prepare() -> None:

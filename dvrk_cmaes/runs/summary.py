@@ -49,6 +49,7 @@ def summarize(
     missing = sorted(set(manifest["frames"]) - set(results))
     values = list(results.values())
     statuses = Counter(result.status for result in values)
+    names = tuple(dict.fromkeys(name for result in values for name in result.joints))
     return {
         "schema": SCHEMA,
         "session": manifest["session"],
@@ -64,7 +65,7 @@ def summarize(
         "frames": {name: {"status": r.status, "reasons": list(r.reasons)} for name, r in results.items()},
         "missing": missing,
         "lag": None if calibration is None else calibration.get("lag"),
-        "commanded": commanded_in([result.readings for result in values], _joints(values)),
+        "commanded": commanded_in([result.readings for result in values], names),
         "timing": {"run": timing},
         "config": manifest["config"],
         **({"rig_doubts": rig_doubts(values)} if any(result.view_fits for result in values) else {}),
@@ -81,11 +82,6 @@ def _medians(results: Sequence[Result]) -> dict[str, Any]:
         "tips_90_mm": _median(errors),
         "mode_probability": _median(modes),
     }
-
-
-def _joints(results: Sequence[Result]) -> list[str]:
-    """Return the names of the joints that were found."""
-    return list(dict.fromkeys(name for result in results for name in result.joints))
 
 
 def _median(values: Sequence[Any]) -> Any:

@@ -30,12 +30,12 @@ from dvrk_cmaes.io.output import Output, output
 from dvrk_cmaes.joints.prior import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.pose.doubts import NO_READINGS
 from dvrk_cmaes.report.track_page import PAGE
-from dvrk_cmaes.results.folder import SESSION, check_writable
+from dvrk_cmaes.results.folder import SESSION
 from dvrk_cmaes.results.tracked import TABLE, TRACKS, VIDEO, TrackResult, line_of, write_table
 from dvrk_cmaes.runs.frame import ArmInSession
 from dvrk_cmaes.runs.keyframes import begin_solution
 from dvrk_cmaes.runs.manifest import Manifest, frame_stamps, manifest_of
-from dvrk_cmaes.runs.pool import StoppedError, pool_of, run_with_body, usable_cores
+from dvrk_cmaes.runs.pool import StoppedError, pool_of, run_in, usable_cores
 from dvrk_cmaes.runs.recording import RecordedFrames, RecordedSolution, follow_window
 from dvrk_cmaes.runs.solver_process import SolverProcess
 from dvrk_cmaes.runs.track_inputs import EvidenceKind, TrackClock, files_of_views, read_arrays, series_of
@@ -87,6 +87,7 @@ class TrackedArm:
 
     ``frames`` are those that are followed. Once they are, ``rows`` are those of tracks.jsonl, ``calibration`` is what
     they rest on, with its whole lag, and ``readings`` has those of each joint at the frames, less the lag, NaN without.
+    ``remarks`` are about the readings.
     """
 
     def __init__(
@@ -106,7 +107,7 @@ class TrackedArm:
         self.clock = TrackClock(series, 1.0 if series.unit == "s" else 1 / rate, used)
         readings = [files.readings for files in self.frames] if settings.use_joints else []
         commanded = commanded_in(readings, joints)
-        self._remarks = (describe_commanded(commanded),) if commanded else ()
+        self.remarks = (describe_commanded(commanded),) if commanded else ()
         self.arm = arm.with_config(with_commanded(arm.method.config, commanded, joints))
         self.session, self.body, self.out, self.settings = arm.session, arm.body, out, settings
         self._notice, self._stop, self._report = notice, stop, report
@@ -142,9 +143,6 @@ class TrackedArm:
         DvrkCmaesError
             Another run is writing there, or a process died.
         """
-        for text in self._remarks:
-            self._notice(f"warning: {text}")
-        check_writable(self.out)
         begun: Begun[RecordedSolution | str | None] = Begun.of(None)
         with ExitStack() as stack:
             own = stack.enter_context(output(self.out, "track"))
@@ -161,8 +159,16 @@ class TrackedArm:
         config = replace(method.config, threads=1)
         pool = stack.enter_context(pool_of(settings.workers or usable_cores(), frames))
         pool.stop, pool.report = self._stop, self._report
-        run = partial(run_with_body, pool, self.body, config)
-        work = ArmSetup(series, self.body.instrument, method.arm, config, run, self._stage, lag=self._lag)
+        run, notice = run_in(pool, self.body, config), self._notice
+        work = ArmSetup(
+            series,
+            self.body.instrument,
+            method.arm,
+            config,
+            run,
+            lambda stage, k: notice(f"{stage}: {k} frames"),
+            lag=self._lag,
+        )
         recorded = RecordedFrames(frames, self.session.rig, series, np.array(self.clock.times(frames)))
         if given is not None and not recorded.trusted.any():
             return Begun.of("no frame has readings of the outer joints that are not frozen")
@@ -181,8 +187,7 @@ class TrackedArm:
             write_text(self.out / TRACKS, "".join(line_of(row) for row in self.rows))
         known, late = self.calibration, self.settings.lag or 0.0
         if known is not None:
-            remarks = tuple(dict.fromkeys((*known.remarks, *self._remarks)))
-            self.calibration = known = replace(known, remarks=remarks)
+            self.calibration = known = replace(known, remarks=tuple(dict.fromkeys((*known.remarks, *self.remarks))))
             late = late if known.applied_lag is None else known.applied_lag.in_seconds(1 / self.clock.interval)
             if self.rows:
                 write_json(self.out / SESSION, known.to_dict())
@@ -251,10 +256,6 @@ class TrackedArm:
         if not self.clock.joints and self.body.instrument.has_twin and result.status == "doubtful":
             result = replace(result, reasons=(NO_READINGS, *result.reasons))
         return result.to_dict(files.name, timed=self.clock.series.unit == "s")
-
-    def _stage(self, stage: str, frames: int) -> None:
-        """Say at which stage the run is."""
-        self._notice(f"{stage}: {frames} frames")
 
     def _manifest(self) -> Manifest:
         """Return what the results depend on."""

@@ -87,14 +87,13 @@ def used_session(session: Session, evidence: EvidenceKind | None) -> tuple[Sessi
         The session has no masks, or no images, where they are asked for; the images have another aspect than the
         camera's.
     """
-    parts = [(files, *files.others.values()) for files in session.frames]
-    with_mask = [any(part.mask is not None for part in of_frame) for of_frame in parts]
-    masked, shown = any(with_mask), any(part.has_image for of_frame in parts for part in of_frame)
+    masked = any(files.has_mask for files in session.frames)
+    shown = any(part.has_image for files in session.frames for part in (files, *files.others.values()))
     if evidence == "masks" and not masked:
         raise InputError(f"{session.folder}: --evidence {evidence}: expected masks of the frames, got none")
     if evidence == "images" and not shown:
         raise InputError(f"{session.folder}: --evidence {evidence}: expected images or video.mp4, got neither")
-    if evidence is None and all(with_mask):
+    if evidence is None and all(files.has_mask for files in session.frames):
         return session, "masks"
     if evidence == "images" or not masked:
         return _by_images(session), "images"
@@ -109,9 +108,8 @@ def with_increasing_times(session: Session) -> tuple[Session, tuple[str, ...]]:
     InputError
         Time goes back at a frame, or stands still at half of the frames; names the file and the first such frame.
     """
-    times = [files.time for files in session.frames]
-    timed = [(files.name, time) for files, time in zip(session.frames, times, strict=True) if time is not None]
-    if len(timed) < len(times):
+    timed = [(files.name, files.time) for files in session.frames if files.time is not None]
+    if len(timed) < len(session.frames):
         return session, ()
     source = session.folder / "images.csv"
     where = source if source.exists() else next((file.path for file in session.joint_files), session.folder)
@@ -172,12 +170,7 @@ def read_arrays(files: FrameFiles, camera: Camera) -> tuple[Image | None, Bool |
             f"{files.mask}: expected {camera.width} x {camera.height} pixels as the camera has, got "
             f"{data.camera.width} x {data.camera.height}"
         )
-    return None if data.image is None else _fitted(data.image, camera), data.mask, data.ignore
-
-
-def _fitted(image: Image, camera: Camera) -> Image:
-    """Return an image (H, W, 3) in the size of the camera's images."""
-    size = (camera.width, camera.height)
-    if image.shape[1::-1] == size:
-        return image
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    image, size = data.image, (camera.width, camera.height)
+    if image is not None and image.shape[1::-1] != size:
+        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    return image, data.mask, data.ignore
