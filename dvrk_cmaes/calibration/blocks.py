@@ -159,8 +159,8 @@ class SeenBlock(Block, ABC):
         """Whether outlines that are linearised at some values (n,) are still near the masks; by default always."""
         return True
 
-    def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
-        """Return how a view of some name sees with the values (n,); as it is for a linear block.
+    def seen(self, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
+        """Return how a view sees with the values (n,); as it is for a linear block.
 
         Raises
         ------

@@ -249,8 +249,6 @@ def _observations(session: CableSession, active: Bool) -> Observations:
     return Observations(times[order], terms[order], session.information[order], session.vector[order])
 
 
-_ROWS = {"reference", "wander", "noise", "offset"}
-_TABLES = {"coupling", "coupling_std", "play", "play_std", "std"}
 _CERTAIN = 2.0  # standard deviations beyond which a coefficient is described in words,
 _LEAST_COUPLING = 0.03  # if it is at least this, rad a rad,
 _LEAST_PLAY = np.deg2rad(1.0)  # or moves a joint by at least this,
@@ -335,12 +333,10 @@ class SessionCables(Document):
             raise refused(where, "cables.joints", ", ".join(joints), list(self.joints))
         count = len(joints)
         for owner in (self, self.alone):
-            for name in _ROWS & vars(owner).keys():
-                if len(row := getattr(owner, name)) != count:
-                    raise refused(where, f"cables.{name}", f"{count} numbers, one a joint", row)
-            for name in _TABLES & vars(owner).keys():
-                if len(table := getattr(owner, name)) != count or any(len(row) != count for row in table):
-                    raise refused(where, f"cables.{name}", f"{count} rows of {count} numbers", table)
+            for name, value in vars(owner).items():
+                numbers = isinstance(value, tuple) and name not in ("parts", "joints")
+                if numbers and {len(value), *(len(row) for row in value if isinstance(row, tuple))} != {count}:
+                    raise refused(where, f"cables.{name}", f"{count} numbers, or rows of {count} numbers", value)
 
     def correction_alone(self, readings: Float64) -> Correction:
         """Return the corrections of frames of which nothing is known but their readings (N, C), rad.

@@ -189,7 +189,8 @@ def _stated(
     model, calibration, lag, settings = arm.model, arm.calibration, arm.lag, arm.setup.config
     frames = tuple(frame.name for frame in arm.frames if frame.name not in arm.left_out)
     used = [results[name] for name in frames]
-    qualities = [one.quality for one in used if one.quality is not None]
+    qualities = [[one.quality.iou, one.quality.contour_px_95] for one in used if one.quality is not None]
+    iou, contour_px_95 = np.median(qualities or [[0.0, 0.0]], axis=0).tolist()
     names = (*OUTER_OFFSETS, *model.names)
     own = slice(len(BASE_AXES) + len(names))
     # those who expect images of the session add what errors of all masks do to what is seen there
@@ -198,8 +199,7 @@ def _stated(
     endoscope = SessionEndoscope.of(arm)
     texts = [*undetermined(np.sqrt(np.diag(covariance)), names, settings), *arm.undetermined]
     texts += [] if endoscope is None else endoscope.undetermined
-    if lag.lag is None:
-        texts.append(f"lag between images and readings: {lag.undetermined}")
+    texts += [] if lag.lag is not None else [f"lag between images and readings: {lag.undetermined}"]
     if commanded:
         texts.append(f"offsets of {', '.join(commanded)} at other readings than the only one of each")
     return SessionCalibration(
@@ -213,8 +213,8 @@ def _stated(
         frames=frames,
         left_out=dict(sorted(arm.left_out.items())),
         leave_one_out={name: Agreement(one.iou, one.contour_px) for name, one in predicted.items() if name in frames},
-        iou=float(np.median([quality.iou for quality in qualities])) if qualities else 0.0,
-        contour_px_95=float(np.median([quality.contour_px_95 for quality in qualities])) if qualities else 0.0,
+        iou=iou,
+        contour_px_95=contour_px_95,
         lag=lag.lag,
         lag_curve=lag.curve,
         cables=SessionCables.of(arm.cables),

@@ -109,8 +109,7 @@ def find_consensus(
 
 def agreement(model: SessionModel, modes: Sequence[Sequence[Mode]], calibration: Calibration) -> Consensus:
     """Return what N frames say of a calibration, whose errors are not counted; arguments as in `find_consensus`."""
-    known = _Hypotheses(model, modes, float(calibration.offsets[1]))
-    return known.against(calibration, np.arange(len(modes)))
+    return _Hypotheses(model, modes, float(calibration.offsets[1])).against(calibration)
 
 
 def find_consensus_at_any_roll(model: SessionModel, modes: Sequence[Sequence[Mode]]) -> Consensus:
@@ -241,11 +240,11 @@ class _Hypotheses:
         changes = self._at[test_frames].minus(_for_each_mode(expected))
         return self._judged(predicted, changes, test_frames)
 
-    def against(self, calibration: Calibration, test_frames: Indices) -> Consensus:
-        """Test a calibration that is known on test frames (V,)."""
+    def against(self, calibration: Calibration) -> Consensus:
+        """Test a calibration that is known on all frames."""
         expected = self._model.predict(self._model.calibration(calibration.camera_from_base, calibration.offsets))
-        changes = self._at[test_frames].minus(_for_each_mode(expected)[test_frames])
-        return Consensus(calibration, *self._judged(self._of_readings[test_frames], changes, test_frames))
+        changes = self._at.minus(_for_each_mode(expected))
+        return Consensus(calibration, *self._judged(self._of_readings, changes, np.arange(len(self._of_readings))))
 
     def _judged(self, predicted: Float64, changes: Float64, test_frames: Indices) -> tuple[Float64, Float64]:
         """Judge calibrations by the changes (..., V, M, D) of modes from what they predict.

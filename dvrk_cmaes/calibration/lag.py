@@ -156,30 +156,6 @@ class LagCurve(Document):
         gain = np.interp(0.0, self.lags, self.misfit) - self.misfit[about].min(initial=np.inf)
         return bool(_FREEDOM_OF_A_FRAME * frames * gain > _SIGNIFICANT**2 * self.misfit.min())
 
-    def least_std(self, frames: int, unknown: float, value: float, *, applied: bool) -> float:
-        """Return the least standard deviation of a lag, in the unit of the curve: 0 where the curve shows the lag.
-
-        Where the curve is flat, as of few frames that follow each other closely, errors that the frames share displace
-        its minimum.
-
-        Parameters
-        ----------
-        frames
-            Number of frames of which the curve is.
-        unknown
-            Standard deviation of the lag beforehand, in the unit of the curve.
-        value
-            The lag, in the unit of the curve.
-        applied
-            Whether it differs from none.
-        """
-        if len(self.lags) < 2:
-            return 0.0
-        allowed = self.root_mean_square(frames, unknown, value)
-        if allowed <= _FLAT * float(np.diff(self.lags).max()):
-            return 0.0
-        return allowed * (_OF_A_LAG if applied else _OF_NONE)
-
 
 def lag_taken_out(
     lag: Lag | None, curve: LagCurve | None, unit: Unit, frames: int, unknown: float
@@ -206,8 +182,11 @@ def lag_taken_out(
     if lag is None or found is None:
         return None if curve is None else (0.0, curve.root_mean_square(frames, unknown))
     value = found if lag.applied else 0.0
-    least = 0.0 if curve is None else curve.least_std(frames, unknown, value, applied=lag.applied)
-    return value, max(std or 0.0, least)
+    if curve is not None:
+        allowed = curve.root_mean_square(frames, unknown, value)
+        flat = allowed > _FLAT * float(np.diff(curve.lags).max())
+        std = max(std or 0.0, allowed * (_OF_A_LAG if lag.applied else _OF_NONE) if flat else 0.0)
+    return value, std or 0.0
 
 
 @dataclass(frozen=True, eq=False)

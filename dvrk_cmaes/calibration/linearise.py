@@ -119,23 +119,18 @@ class ArmOutlines:
         """
         known = self.calibration.values
         values = {one.name: np.where(one.is_linear, one.start, known[one.name]) for one in self.blocks}
-        tasks = [
-            (stored, view, self._seen(stored, view, values), self.at[k], self.blocks)
-            for k, (stored, view) in enumerate(zip(self.stored, self.views, strict=True))
-            if view is not None
-        ]
+        tasks = list[tuple[StoredFrame, int, ViewAsSeen, Posed, tuple[SeenBlock, ...]]]()
+        for k, (stored, number) in enumerate(zip(self.stored, self.views, strict=True)):
+            if number is not None:
+                view = stored.views[number]
+                by = ViewAsSeen(view.evidence.camera, view.view_from_camera, 0.0)
+                for block in self.blocks:
+                    by = block.seen(by, values[block.name])
+                tasks.append((stored, number, by, self.at[k], self.blocks))
         found = iter(self.run(outline_task, tasks))
         size = 6 + self.at.joints.shape[1] + sum(len(block) for block in values.values())
         terms = [Quadratic.zero(1, size) if view is None else next(found) for view in self.views]
         return FrameFits.sharing(self.at, Quadratic.joined(terms), self.common, values)
-
-    def _seen(self, stored: StoredFrame, number: int, values: Mapping[str, Float64]) -> ViewAsSeen:
-        """Return how a view of a frame sees with some values of the blocks."""
-        view = stored.views[number]
-        by = ViewAsSeen(view.evidence.camera, view.view_from_camera, 0.0)
-        for block in self.blocks:
-            by = block.seen(view.name, by, values[block.name])
-        return by
 
 
 @dataclass(frozen=True, eq=False)

@@ -51,7 +51,7 @@ class MaskMargin(SeenBlock):
         super().__init__(MARGIN, np.array([_STD]), np.array([start]))
         self.least_std = np.array([_LEAST_STD])
 
-    def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
+    def seen(self, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
         """Return a view whose mask has the margin."""
         return replace(by, margin=by.margin + float(values[0]))
 
@@ -211,7 +211,7 @@ class InstrumentSizes(SeenBlock):
         super().__init__(SIZES, _WIDE)
         self._instrument = instrument
 
-    def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
+    def seen(self, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
         """Return a view of an instrument that is larger as a whole."""
         return replace(by, scale=by.scale * float(np.exp(values[-1])))
 

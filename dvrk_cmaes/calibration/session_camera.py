@@ -90,7 +90,7 @@ class CameraChange(CameraErrors):
         """Whether the outlines are not likely to have left the image."""
         return bool((np.abs(values) < PLAUSIBLE * _WEAK_STD).all())
 
-    def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
+    def seen(self, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
         """Return a view with the changed camera."""
         return replace(by, camera=changed(by.camera, values))
 
