@@ -41,8 +41,8 @@ class PackedMask:
 
 def overlap_of(first: Bool, second: Bool) -> float:
     """Return the intersection over union of two masks; 1 if both are empty."""
-    either = int((first | second).sum())
-    return float((first & second).sum()) / either if either else 1.0
+    either = np.count_nonzero(first | second)
+    return np.count_nonzero(first & second) / either if either else 1.0
 
 
 Mask = Bool | Mapping[str, Bool | None]

@@ -15,12 +15,8 @@ namespace kernel {
 // side of each pixel. With `to_pixel`, sums are over the pixels whose centres are covered, otherwise integrals.
 inline void add_sums(const Lines& lines, const double* table, int images, bool to_pixel, double* sums) {
   const int width = lines.grid.extent;
+  const auto pixel = [&](double along) { return static_cast<int>(std::clamp(std::ceil(along), 0.0, double(width))); };
   const auto up_to = [&](const double* row, double along, double sign) {
-    if (to_pixel) {
-      const double* values = row + images * static_cast<int>(std::clamp(std::ceil(along), 0.0, double(width)));
-      for (int k = 0; k < images; ++k) sums[k] += sign * values[k];
-      return;
-    }
     const double place = std::clamp(along + 0.5, 0.0, double(width));
     const int whole = std::min(static_cast<int>(place), width - 1);
     const double share = place - whole;
@@ -29,6 +25,11 @@ inline void add_sums(const Lines& lines, const double* table, int images, bool t
   };
   lines.each_span([&](int line, const Crossing& start, const Crossing& end) {
     const double* row = table + std::size_t(images) * (width + 1) * (line / lines.grid.per_pixel);
+    if (to_pixel) {
+      const double *from = row + images * pixel(start.along), *to = row + images * pixel(end.along);
+      for (int k = 0; k < images; ++k) sums[k] += to[k] - from[k];
+      return;
+    }
     up_to(row, end.along, 1.0);
     up_to(row, start.along, -1.0);
   });

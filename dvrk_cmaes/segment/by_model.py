@@ -325,12 +325,12 @@ def _grouped(
 
     ``masks`` (N, h, w) are their silhouettes. Of poses of a group that are not ``apart`` only the best one is kept.
     """
+    areas = np.count_nonzero(masks, axis=(1, 2))
 
     def share(k: int, j: int) -> bool:
-        both, least = int((masks[k] & masks[j]).sum()), min(int(masks[k].sum()), int(masks[j].sum()))
-        return both > _SHARED * least
+        return bool(np.count_nonzero(masks[k] & masks[j]) > _SHARED * min(areas[k], areas[j]))
 
-    left, groups = [k for k in _ordered(scores) if masks[k].any()], []
+    left, groups = [k for k in _ordered(scores) if areas[k]], []
     for _ in range(most):
         own = [k for k in left if share(k, left[0])]
         left = [k for k in left if k not in own]

@@ -199,13 +199,6 @@ def _pair(first: _Line, second: _Line, camera: Camera, radius: float, limits: Fl
     for line in (first, second):
         own = line.point @ along + line.stretches * (line.direction @ along)
         covered.append(np.sort(own, axis=1))
-    common = [
-        (max(a[0], b[0]), min(a[1], b[1]))
-        for a in covered[0].tolist()
-        for b in covered[1].tolist()
-        if min(a[1], b[1]) > max(a[0], b[0])
-    ]
-    overlap = sum(end - begin for begin, end in common)
     low = max(covered[0].min(), covered[1].min())
     high = min(covered[0].max(), covered[1].max())
     middle = (low + high) / 2
@@ -221,6 +214,13 @@ def _pair(first: _Line, second: _Line, camera: Camera, radius: float, limits: Fl
     widest, narrowest = (2 * radius * focal / depth for depth in _DEPTHS)
     if not max(narrowest, _NARROWEST) < width < widest or high - low < _LEAST_OVERLAP * width:
         return None
+    common = [
+        (max(a[0], b[0]), min(a[1], b[1]))
+        for a in covered[0].tolist()
+        for b in covered[1].tolist()
+        if min(a[1], b[1]) > max(a[0], b[0])
+    ]
+    overlap = sum(end - begin for begin, end in common)
     planes = []
     for line, sign in ((upper, 1.0), (lower, -1.0)):
         outward = np.array([-line.direction[1], line.direction[0]])

@@ -94,16 +94,14 @@ def _spreads(renderer: Renderer, at: Posed, scale: Float64) -> Float64:
     moves, they are limited to ``_SPREAD`` times the expected errors.
     """
     outlines = renderer.outlines(at.pose, at.joints)
-    covariances = []
-    for outline, moving in zip(
-        outlines, moving_points(renderer.body.instrument, renderer.camera, outlines, at), strict=True
-    ):
+    informations = []
+    each_moving = moving_points(renderer.body.instrument, renderer.camera, outlines, at)
+    for outline, moving in zip(outlines, each_moving, strict=True):
         length = np.maximum(np.linalg.norm(outline.normals, axis=1), 1e-9)
         moved = moving.jacobian * scale
-        information = moved.T @ (moved / length[:, None]) / max(float(length.sum()), 1.0)
-        widest = np.eye(len(scale)) / _SPREAD**2
-        covariances.append(np.linalg.inv(len(scale) / _SPREAD_PX**2 * information + widest))
-    return np.stack(covariances)
+        informations.append(moved.T @ (moved / length[:, None]) / max(float(length.sum()), 1.0))
+    wide = np.eye(len(scale)) / _SPREAD**2
+    return np.asarray(np.linalg.inv(len(scale) / _SPREAD_PX**2 * np.stack(informations) + wide))
 
 
 def _towards_readings(instrument: Instrument, readings: Readings, at: Posed) -> Posed:

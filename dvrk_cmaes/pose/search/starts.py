@@ -269,7 +269,8 @@ def first_of_modes(
     while len(left) and len(kept) != most:
         kept.append(int(left[0]))
         for one, turned in zip(each, rotations, strict=True):
-            traces = rotations[0][left] @ turned[kept[-1]]  # of the rotations between both
-            far = traces < 1 + 2 * np.cos(angle)
-            left = left[far | (np.abs(at.joints[left] - one.joints[kept[-1]]) > joint).any(axis=1)]
+            traces = (rotations[0] @ turned[kept[-1]])[left]  # of the rotations between both
+            close = np.flatnonzero(~(traces < 1 + 2 * np.cos(angle)))  # few
+            off = np.abs(at.joints[left[close]] - one.joints[kept[-1]])
+            left = np.delete(left, close[(off <= joint).all(axis=1)])
     return kept
