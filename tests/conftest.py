@@ -74,6 +74,7 @@ def in_ci() -> bool:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.stash[DESELECTED] = {}
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # OpenCV reads it at the first use of FFmpeg, in any test
     if not hasattr(config, "workerinput"):  # the process with the terminal
         config.pluginmanager.register(NamedFailures(config))
         _keep_files_in_memory()

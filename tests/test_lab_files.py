@@ -7,7 +7,6 @@ something, or refuses in one line that names the remedy; both are given as a reg
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
 from collections.abc import Callable, Iterator, Sequence
@@ -324,7 +323,6 @@ def _video(size: tuple[int, int], *more: str) -> Callable[[Path], Sequence[str]]
     """Return a function that writes a video, which is imported."""
 
     def write(folder: Path) -> Sequence[str]:
-        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
         writer = cv2.VideoWriter(str(folder / "v.avi"), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), 25.0, size)
         for k in range(3):
             writer.write(np.random.default_rng(k).integers(0, 256, (size[1], size[0], 3)).astype(np.uint8))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -168,7 +167,6 @@ def _message(store: Any, m: Message, *, ros1: bool) -> Any:
 
 def write_video(path: Path, frames: int = 10, rate: float = 25.0, code: str = "FFV1") -> Path:
     """Write a video of ``pixels``; FFV1 loses nothing."""
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # has to be set before the first use of FFmpeg
     writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter_fourcc(*code), rate, (WIDTH, HEIGHT))
     assert writer.isOpened()
     for k in range(frames):
