@@ -94,13 +94,6 @@ def test_instrument_that_is_gone_is_never_ok_and_is_found_again(
     assert world.error_mm(FRAMES - 1, followed[-1]) < 2.5
 
 
-def test_image_that_stands_still_is_not_believed(world: MovingWorld, first: Result, images: list[np.ndarray]) -> None:
-    still = [images[min(k, 6)] for k in range(FRAMES)]
-    followed = follow(world, started(world, first, images[0]), range(1, 14), still)
-    frozen = [result for result in followed if any(text.startswith("frozen image") for text in result.reasons)]
-    assert len(frozen) >= 2
-
-
 def test_masks_and_images_may_alternate(world: MovingWorld, first: Result, images: list[np.ndarray]) -> None:
     tracker = started(world, first, images[0])
     results = []

@@ -114,16 +114,6 @@ def calibration(before: tuple[Tracker, list[TrackResult]], world: MovingWorld) -
     return solution.calibration
 
 
-def test_given_calibration_is_followed_by_and_not_replaced_while_it_holds(
-    world: MovingWorld, calibration: SessionCalibration
-) -> None:
-    tracker = Tracker(world.camera, world.body, calibration, CONFIG)
-    results = world.follow(tracker)
-    assert np.mean([result.status == "ok" for result in results]) > 0.5
-    assert not tracker.solution_due
-    assert tracker.base_state.startswith("calibration given: ")
-
-
 def test_given_calibration_is_given_up_where_the_camera_was_moved(calibration: SessionCalibration) -> None:
     elsewhere = moving_world(right=0.012)
     tracker = Tracker(elsewhere.camera, elsewhere.body, calibration, CONFIG)

@@ -48,11 +48,6 @@ def errors_mm(world: MovingWorld, results: list[TrackResult], begin: int = 1) ->
 # a moving arm in view
 
 
-def test_nothing_is_ok_before_keyframes_tell_the_base(results: list[TrackResult]) -> None:
-    assert {result.status for result in results} == {"doubtful"}
-    assert all(result.reasons[-1].startswith("base not known yet: ") for result in results)
-
-
 def test_errors_agree_with_their_standard_deviations(world: MovingWorld, results: list[TrackResult]) -> None:
     stated = np.array([result.tip_std_mm for result in results])
     assert 0.1 < np.median(errors_mm(world, results) / stated) < 2.0
@@ -132,21 +127,6 @@ def test_single_missing_masks_are_predicted(world: MovingWorld, first: Result) -
         assert followed[k - 1].status == "doubtful"
         assert followed[k - 1].reasons[0].startswith("no mask")
         assert world.error_mm(k, followed[k - 1]) < 2
-
-
-@pytest.mark.parametrize("read", [True, False])
-def test_instrument_that_is_gone_is_lost_and_found_again(world: MovingWorld, first: Result, *, read: bool) -> None:
-    empty, gone = np.zeros_like(world.masks[0]), range(10, 20)
-    followed = world.follow(
-        started(world, first),
-        frames=range(1, 30),
-        mask=lambda k: empty if k in gone else world.masks[k],
-        readings=(lambda k: world.readings[k]) if read else lambda k: {},
-    )
-    assert {followed[k - 1].status for k in gone} == {"lost"}
-    stds = [followed[k - 1].tip_std_mm for k in gone]
-    assert stds[-1] > stds[0] > followed[8].tip_std_mm  # type: ignore[operator]
-    assert world.error_mm(29, followed[-1]) < 1.0
 
 
 def test_instrument_that_comes_back_elsewhere_is_searched(world: MovingWorld, first: Result) -> None:
