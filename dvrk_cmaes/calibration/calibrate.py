@@ -13,12 +13,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from dvrk_cmaes.calibration.blocks import BASE_AXES, OUTER_OFFSETS
+from dvrk_cmaes.calibration.blocks import BASE_AXES, OBSERVABLE, OUTER_OFFSETS
 from dvrk_cmaes.calibration.cables import SessionCables
-from dvrk_cmaes.calibration.document import Agreement, SessionCalibration, undetermined
+from dvrk_cmaes.calibration.document import Agreement, SessionCalibration
 from dvrk_cmaes.calibration.model import SessionModel, outer_readings
 from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual_insertion
-from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
+from dvrk_cmaes.calibration.session_endoscope import UNDETERMINED_ROTATION, SessionEndoscope
 from dvrk_cmaes.calibration.session_frame import (
     NOT_READ,
     FrameReport,
@@ -36,7 +36,7 @@ from dvrk_cmaes.calibration.together import Begun, Outcome, solved_alone
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import Evidence
-from dvrk_cmaes.geometry import inverse
+from dvrk_cmaes.geometry import Float64, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.arguments import check_type
@@ -50,6 +50,8 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.silhouette.threads import map_threaded, single_blas_thread
+
+_UNDETERMINED_POSITION = 5e-3  # m, standard deviation of the base, above which its place is not determined
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -197,11 +199,6 @@ def _stated(
     given_camera = arm.solution.covariance[own, own]
     covariance = given_camera + arm.of_camera_and_masks[own, own]
     endoscope = SessionEndoscope.of(arm)
-    texts = [*undetermined(np.sqrt(np.diag(covariance)), names, settings), *arm.undetermined]
-    texts += [] if endoscope is None else endoscope.undetermined
-    texts += [] if lag.lag is not None else [f"lag between images and readings: {lag.undetermined}"]
-    if commanded:
-        texts.append(f"offsets of {', '.join(commanded)} at other readings than the only one of each")
     return SessionCalibration(
         instrument=arm.setup.instrument.name,
         camera_from_base=calibration.camera_from_base,
@@ -224,7 +221,7 @@ def _stated(
         masks=arm.masks,
         rig=arm.rig,
         commanded=dict(commanded),
-        undetermined=tuple(texts),
+        undetermined=_undetermined(arm, np.sqrt(np.diag(covariance)), endoscope, [*commanded]),
         remarks=_remarks(arm, used, [*commanded]),
         arm=arm.setup.arm,
         roll_offset=arm.setup.instrument.roll_offset,
@@ -233,23 +230,43 @@ def _stated(
     )
 
 
+def _undetermined(
+    arm: ArmSession, std: Float64, endoscope: SessionEndoscope | None, commanded: Sequence[str]
+) -> tuple[str, ...]:
+    """Describe what a session does not determine, by the standard deviations (K,) of its base and offsets."""
+    texts, model, names = [], arm.model, (*OUTER_OFFSETS, *arm.model.names)
+    if std[:3].max() > _UNDETERMINED_POSITION:
+        texts.append(f"place of the base: standard deviation {std[:3].max() * 1e3:.1f} mm")
+    if std[3:6].max() > UNDETERMINED_ROTATION:
+        texts.append(
+            f"rotation of the base: standard deviation {np.degrees(std[3:6].max()):.1f} deg; the arm hardly turns, and "
+            "its rotation cannot be distinguished from the offset of roll"
+        )
+    for name, deviation, before in zip(names, std[6:], model.offset_std, strict=True):
+        if deviation > OBSERVABLE * before:
+            amount = f"{deviation * 1e3:.2f} mm" if name == "insertion" else f"{np.degrees(deviation):.1f} deg"
+            texts.append(f"offset of {name}: standard deviation {amount}, as wide as expected beforehand")
+    texts += [*arm.undetermined, *([] if endoscope is None else endoscope.undetermined)]
+    if arm.lag.lag is None:
+        texts.append(f"lag between images and readings: {arm.lag.undetermined}")
+    if commanded:
+        texts.append(f"offsets of {', '.join(commanded)} at other readings than the only one of each")
+    return tuple(texts)
+
+
 def _remarks(arm: ArmSession, used: Sequence[Result], commanded: Sequence[str]) -> tuple[str, ...]:
     """Return what was put right or is unusual; ``used`` are the results of the frames that agree."""
+    instrument, of_joints = arm.setup.instrument, ([one.joints or {} for one in used], [one.readings for one in used])
+    found, read = (
+        np.array([[own.get(name, np.nan) for name in instrument.joint_names] for own in each]) for each in of_joints
+    )
     return (
         *camera_remarks(arm.stored[0]),
         *(each.describe() for each in arm.rig if each.applied),
         *([describe_commanded(commanded)] if commanded else []),
-        *_exchanged_readings(used, arm.setup.instrument),
+        *exchanged_readings(found, read, instrument),
         *arm.remarks,
     )
-
-
-def _exchanged_readings(used: Sequence[Result], instrument: Instrument) -> list[str]:
-    """Say that the readings of both joints of the wrist may be exchanged in all frames that are used."""
-    names = instrument.joint_names
-    found = [[(one.joints or {}).get(name, np.nan) for name in names] for one in used]
-    read = [[one.readings.get(name, np.nan) for name in names] for one in used]
-    return exchanged_readings(np.array(found), np.array(read), instrument) if used else []
 
 
 def in_threads(

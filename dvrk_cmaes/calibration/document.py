@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from dvrk_cmaes.calibration.blocks import BASE_AXES, OBSERVABLE, OUTER_OFFSETS, Calibration, FoundBlock
+from dvrk_cmaes.calibration.blocks import BASE_AXES, OUTER_OFFSETS, Calibration, FoundBlock
 from dvrk_cmaes.calibration.cables import SessionCables
 from dvrk_cmaes.calibration.endoscope import Endoscope
 from dvrk_cmaes.calibration.lag import LagCurve
@@ -20,15 +20,14 @@ from dvrk_cmaes.calibration.model import (
     Deviations,
     SessionModel,
     ecm_readings,
-    offset_deviations,
 )
 from dvrk_cmaes.calibration.session_camera import CAMERA
-from dvrk_cmaes.calibration.session_endoscope import UNDETERMINED_ROTATION, SessionEndoscope
+from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
 from dvrk_cmaes.calibration.session_frame import changed
 from dvrk_cmaes.calibration.session_rig import ViewRotation, turns_of
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.rig import V, ViewDocument, turned_views
-from dvrk_cmaes.config import CameraConfig, EstimateConfig, ReadingSigmas, __version__
+from dvrk_cmaes.config import CameraConfig, ReadingSigmas, __version__
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.arm import Arm
@@ -55,8 +54,6 @@ CALIBRATION_EXPECTED = "a SessionCalibration (dvrk_cmaes.read_calibration reads 
 """What messages about arguments say of the type."""
 _OTHERWISE = {"axes", "covariance", "covariance_given_camera", "seconds", "config"}
 """Fields that the document has in another form."""
-# standard deviations above which a part of the calibration is reported as not determined
-_UNDETERMINED_POSITION = 5e-3  # of the base, m
 _ELSEWHERE = np.deg2rad(30.0)  # from the only reading of a joint, where its offset says nothing any more
 
 
@@ -366,23 +363,6 @@ class SessionCalibration:
         usual = np.deg2rad([ReadingSigmas().of(name) for name in joint_names])
         away = usual * np.minimum(np.abs(np.nan_to_num(joints - constant)) / _ELSEWHERE, 1.0)
         return np.column_stack([np.ones(len(joints)), np.sqrt(1 + (away / std) ** 2)])
-
-
-def undetermined(std: Float64, names: tuple[str, ...], config: EstimateConfig) -> list[str]:
-    """Describe the parts of the calibration whose standard deviations exceed their thresholds."""
-    texts = []
-    if std[:3].max() > _UNDETERMINED_POSITION:
-        texts.append(f"place of the base: standard deviation {std[:3].max() * 1e3:.1f} mm")
-    if std[3:6].max() > UNDETERMINED_ROTATION:
-        texts.append(
-            f"rotation of the base: standard deviation {np.degrees(std[3:6].max()):.1f} deg; the arm hardly turns, and "
-            "its rotation cannot be distinguished from the offset of roll"
-        )
-    for name, deviation, before in zip(names, std[6:], offset_deviations(config, names[2:]), strict=True):
-        if deviation > OBSERVABLE * before:
-            amount = f"{deviation * 1e3:.2f} mm" if name == "insertion" else f"{np.degrees(deviation):.1f} deg"
-            texts.append(f"offset of {name}: standard deviation {amount}, as wide as expected beforehand")
-    return texts
 
 
 def check_made_for(where: str, calibration: SessionCalibration, instrument: str, arm: Arm | None = None) -> None:

@@ -23,7 +23,7 @@ from dvrk_cmaes.calibration.blocks import Calibration, PredictedBlock
 from dvrk_cmaes.calibration.consensus import Consensus, Mode, choose_modes, find_consensus
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits, solve
+from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, solve_arms
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
@@ -476,7 +476,7 @@ class SessionLag:
         least = FARTHEST[self._known.unit] / _SHARED_ERRORS
         block = LagBlock(least, partial(own.model_to_compare, model), _DIFFERENCE * self.step)
         begun = consensus.calibration.with_blocks(block, **{LAG: np.array([start])})
-        solution = solve(own.model_to_compare(model, start), FrameFits.of_modes(chosen), begun)
+        (solution,) = solve_arms([ArmFrames(own.model_to_compare(model, start), FrameFits.of_modes(chosen), begun)])
         place, value = begun.place(LAG), solution.calibration.values[LAG].item()
         if not abs(value - start) < near - _DIFFERENCE * self.step:
             return None

@@ -11,7 +11,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Endoscope
-from dvrk_cmaes.calibration.frame_fit import OwnEstimate, fit_frame
+from dvrk_cmaes.calibration.frame_fit import FrameFit, OwnEstimate, fit_frame
 from dvrk_cmaes.calibration.lag import lag_taken_out
 from dvrk_cmaes.calibration.masks_and_sizes import covariance_of_margin
 from dvrk_cmaes.calibration.model import outer_readings
@@ -249,9 +249,7 @@ def fit_session_pose(
     camera = views[0].evidence.camera
     if doubts := doubts_of_agreement("solved", misfit, config.session, quality, usual, camera.pixel_scale):
         return f"session: {'; '.join(doubts)}: searched anew"
-    fitted = np.asarray(np.linalg.inv(fit.information + expected.information), dtype=np.float64)
-    by_calibration = fitted @ expected.information @ predicted.jacobian[0]
-    fitted = fitted + covariance_of_margin(session.masks, fitted @ fit.by_margin, by_calibration)
+    fitted = _covariance(fit, expected, session, predicted)
     of_camera = covariance_by_camera(instrument, camera, fit.at, session.camera_errors)
     error = expected_error(instrument, fit.at, fitted, of_camera)
     reasons, remarks = doubts_in_views(fit.at, views, qualities, error, config.trust, "solved")
@@ -267,3 +265,10 @@ def fit_session_pose(
         camera_from_base=np.asarray(fit.at.pose @ inverse(predicted.base_from_root[0])),
         notes=tuple(remarks),
     )
+
+
+def _covariance(fit: FrameFit, expected: Expected, session: SessionCalibration, predicted: Prediction) -> Float64:
+    """Return the covariance (D, D) of a fit of the only predicted frame, with the margin of its session's masks."""
+    alone = np.asarray(np.linalg.inv(fit.information + expected.information), dtype=np.float64)
+    by_calibration = alone @ expected.information @ predicted.jacobian[0]
+    return alone + covariance_of_margin(session.masks, alone @ fit.by_margin, by_calibration)

@@ -215,11 +215,6 @@ def marginalise(model: SessionModel, fits: FrameFits, calibration: Calibration) 
     return eliminate(fits.outlines, predicted, information, calibration.further - fits.further)
 
 
-def solve(model: SessionModel, fits: FrameFits, start: Calibration) -> Solved:
-    """Estimate the calibration of an arm by itself, as `solve_arms`."""
-    return solve_arms([ArmFrames(model, fits, start)])[0]
-
-
 def solve_arms(arms: Sequence[ArmFrames], *, steps: int = MOST_STEPS) -> list[Solved]:
     """Estimate the calibrations of all arms of a session by iteratively reweighted Gauss-Newton steps.
 
@@ -246,11 +241,11 @@ def solve_arms(arms: Sequence[ArmFrames], *, steps: int = MOST_STEPS) -> list[So
 def solve_with_modes(model: SessionModel, modes: Sequence[Sequence[Mode]], start: Calibration) -> Solved:
     """Alternate between choosing a mode of each frame and estimating the calibration from these.
 
-    Arguments are as in `choose_modes` and `solve`.
+    Arguments are as in `choose_modes`, ``start`` is the first calibration.
     """
     chosen = choose_modes(model, modes, start)
     for _ in range(_MODE_ITERATIONS):
-        solution = solve(model, FrameFits.of_modes(chosen), start)
+        solution = solve_arms([ArmFrames(model, FrameFits.of_modes(chosen), start)])[0]
         before, start = chosen, solution.calibration
         chosen = choose_modes(model, modes, start)
         if all(one is other for one, other in zip(chosen, before, strict=True)):
