@@ -19,7 +19,7 @@ def here(command: list[Any], **_: object) -> None:
     assert run(shlex.join(["dvrk-cmaes", *map(str, command[3:])])).code == 0
 
 
-@pytest.mark.usefixtures("estimates_shared")
+@pytest.mark.usefixtures("estimates_shared", "searches_short")
 def test_notebook_runs_from_a_folder_to_plots_as_its_outputs_show(monkeypatch: pytest.MonkeyPatch) -> None:
     import matplotlib as mpl
 

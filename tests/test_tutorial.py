@@ -10,7 +10,7 @@ from helpers.places import ROOT
 from helpers.plain_pictures import plain_pictures, small_overlays
 from helpers.printed_blocks import LEFT_OUT, Block, blocks, has_in_order, printed_parts, run, words
 from helpers.processes_here import processes_here
-from helpers.shared_estimates import shared_estimates
+from helpers.shared_estimates import shared_estimates, short_searches
 
 BLOCKS = list(blocks((ROOT / "data" / "reference" / "tutorial.md").read_text(encoding="utf-8")))
 CAMERA, REST = BLOCKS[0], BLOCKS[1:]
@@ -34,7 +34,7 @@ def test_commands_run_as_printed_and_print_what_is_shown(tmp_path: Path, monkeyp
     output, said = list[str](), ""
     for block in REST:
         if block.commands:
-            with processes_here(), shared_estimates(), plain_pictures(), small_overlays():
+            with processes_here(), shared_estimates(), short_searches(), plain_pictures(), small_overlays():
                 said = "".join(map(_said, block.commands))
             output = words(said)
         else:
