@@ -45,9 +45,6 @@ def errors_mm(world: MovingWorld, results: list[TrackResult], begin: int = 1) ->
     return np.array([world.error_mm(begin + k, result) for k, result in enumerate(results)])
 
 
-# a moving arm in view
-
-
 def test_errors_agree_with_their_standard_deviations(world: MovingWorld, results: list[TrackResult]) -> None:
     stated = np.array([result.tip_std_mm for result in results])
     assert 0.1 < np.median(errors_mm(world, results) / stated) < 2.0
@@ -181,9 +178,6 @@ def test_base_that_moved_is_followed(world: MovingWorld, first: Result) -> None:
     masks = [exact_mask(world.camera, truth) if k >= 8 else world.masks[k] for k, truth in enumerate(after)]
     followed = world.follow(started(world, first), frames=range(1, 24), mask=lambda k: masks[k])
     assert np.linalg.norm(followed[-1].tips - after[23].tips, axis=1).mean() < 2e-3  # type: ignore[operator]
-
-
-# wrong use
 
 
 @pytest.mark.parametrize(
