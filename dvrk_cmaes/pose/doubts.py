@@ -125,7 +125,7 @@ def tips_not_accurate(error: ExpectedError, trust: TrustConfig) -> str | None:
     if probability < trust.least_probability:
         return (
             f"{TIPS_NOT_ACCURATE}: their expected error is {error.of_tips_mm:.1f} mm, the probability that they are "
-            f"within {trust.tip_mm:g} mm {probability:.2f}"
+            f"within {trust.tip_mm:g} mm is {probability:.2f}"
         )
     return None
 
