@@ -160,12 +160,16 @@ def _fields(file: Path, info: Mapping[str, Any], arm: str | None) -> tuple[dict[
     known = [k for k, (_, joint) in enumerate(split) if joint]
     if not known:
         raise InputError(f"{file}: {_STATE}: expected names of joints such as PSM1.yaw, got {listed(names, 40)}")
-    stated = ["_".join(filter(None, split[k])) for k in known]
-    places = joints_of_arm(f"{file}: {_STATE}", stated, (*ARM_ORDER, "jaw", *POSE), arm)
-    taken = {joint: known[place] for joint, place in places.items()}
+    arms = dict.fromkeys(split[k][0] for k in known)
+    if (arm is None and len(arms) > 1) or (arm is not None and arm.upper() not in arms):
+        expected = listed(own or "without a name" for own in arms)
+        raise InputError(f"{file}: --arm: expected one of {expected}, got {arm}")
+    chosen = next(iter(arms)) if arm is None else arm.upper()
+    own = [k for k in known if split[k][0] == chosen]
+    places = joints_of_arm(f"{file}: {_STATE}", [split[k][1] for k in own], (*ARM_ORDER, "jaw", *POSE))
+    taken = {joint: own[place] for joint, place in places.items()}
     posed = {*POSE} <= {*taken} and not {*ARM_ORDER} & {*taken}
     taken = {name: k for name, k in taken.items() if posed or name not in POSE}
-    chosen = next((own for own, _ in split if own), "") if arm is None else arm.upper()
     said = [f"{_STATE} ({chosen})" if chosen else _STATE, *(f"{j}: {names[k]}" for j, k in taken.items())]
     others = listed([name for k, name in enumerate(names) if k not in taken.values()], 40)
     return taken, [*said, *([f"not taken: {others}"] if others else [])]

@@ -8,8 +8,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from dvrk_cmaes.camera.files import Side
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.video_frames import Layout, Window, frame_name
@@ -183,9 +181,13 @@ def listed_readings(where: str, value: Any) -> dict[str, float]:
 def series_of_rows(
     source: str, rows: Mapping[int, Mapping[str, float]], time_of: Callable[[int], int]
 ) -> TimedReadings:
-    """Return the series of rows of joints by number, NaN where a row has none; InputError if there are no rows."""
+    """Return the series of rows of the same joints, by number; InputError if there are none, or of other joints."""
     if not rows:
         raise InputError(f"{source}: expected the joints of at least one frame, got none")
-    names = tuple(dict.fromkeys(name for row in rows.values() for name in row))
-    values = [[row.get(name, np.nan) for name in names] for row in rows.values()]
-    return TimedReadings.of(source, names, [time_of(number) for number in rows], values)
+    names = tuple(next(iter(rows.values())))
+    for number, row in rows.items():
+        if tuple(row) != names:
+            raise InputError(
+                f"{source}: frame {number}: expected {len(names)} values as in the frames before, got {len(row)}"
+            )
+    return TimedReadings.of(source, names, [time_of(k) for k in rows], [list(row.values()) for row in rows.values()])

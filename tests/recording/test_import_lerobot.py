@@ -99,8 +99,8 @@ def imported(made: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest
 
 def test_arm_camera_and_episode_are_asked_for(imported: Import) -> None:
     assert "--camera: expected a camera file" in imported("--arm", "PSM1").refusal
-    said = "expected the joints of one arm, got those of PSM1, PSM2"
-    assert said in imported("--camera", "camera.yaml").refusal
+    assert "--arm: expected one of PSM1, PSM2" in imported("--camera", "camera.yaml").refusal
+    assert "--arm: expected one of PSM1, PSM2, got ECM" in imported("--camera", "camera.yaml", "--arm", "ECM").refusal
     imported("--arm", "PSM1", "--camera", "camera.yaml", "--episode", 7).refusal  # noqa: B018
 
 
