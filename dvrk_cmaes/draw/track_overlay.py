@@ -1,6 +1,6 @@
 """Pictures of a followed recording, its frames with the contours of mask and pose; and what is projected in overlays.
 
-That are an instrument's shaft edges and skeleton as lines in an image, clipped in front of the camera.
+These are an instrument's shaft edges and skeleton as lines in an image, clipped in front of the camera.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -215,7 +215,8 @@ class Follower:
             doubts = reasons(pose_lost(seen.source, None)) if seen.problem is None else [seen.problem]
             return Judged("lost" if lost else "doubtful", doubts, None)
         doubts = self._window.doubts(fitted, found, image, seen.source)
-        return self._window.judged(fitted.views, found, image.misfit, doubts, self._given.body, seen.source)
+        judged = self._window.judged(fitted.views, found, image.misfit, doubts, self._given.body, seen.source)
+        return replace(judged, explained=judged.explained and not fitted.doubts)
 
 
 def has_moved(before: Posed, now: Posed) -> bool:

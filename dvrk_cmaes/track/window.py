@@ -250,7 +250,7 @@ class Window:
         shown, _ = doubts_in_views(at, views, qualities, error, self.config.trust, "followed")
         quality = pooled_quality(qualities)
         residual_px, least_iou = NORMAL_MEDIAN * quality.contour_px_median, self.calibration.iou - FOLLOWED.overlap_loss
-        explained = quality.iou >= least_iou and not of_masks
+        explained = quality.iou >= least_iou
         no_support = pose_lost(source, quality.iou)
         if no_support is not None:
             return Judged("lost", [*reasons(no_support), *of_masks], error, residual_px, explained)
