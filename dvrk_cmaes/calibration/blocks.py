@@ -77,7 +77,7 @@ class PredictedBlock(Block, ABC):
 
 
 class Base(PredictedBlock):
-    """The arm's base (4, 4) in the camera, m, of which nothing is known beforehand; steps are in the base's axes."""
+    """The arm's base (4, 4) in the camera, m, of which nothing is known a priori; steps are in the base's axes."""
 
     def __init__(self) -> None:
         super().__init__(BASE, np.full(6, np.inf))

@@ -29,7 +29,7 @@ Float64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 OFFSET_STD: Final = np.array([np.deg2rad(3.0), np.deg2rad(3.0), 0.005, np.deg2rad(3.0)])
-"""Standard deviations of the offsets of the ECM's joints beforehand, rad and m."""
+"""Prior standard deviations of the offsets of the ECM's joints, rad and m."""
 
 PLACE_STD: Final = np.sqrt(2) * np.array([np.deg2rad(0.3), np.deg2rad(0.3), 0.0005, np.deg2rad(0.3)])
 """Those of the errors of its readings at a place, against that at the reference, in all of these: cables, sag."""
@@ -53,7 +53,7 @@ class EndoscopeValues:
     Of an endoscope whose arm is read, the only pose is the camera in its tip. The numbers are the offsets of the ECM's
     joints (4,), then what is added to its readings at P places but the reference (P, 4): true = reading + offset +
     error, rad and m. Of one that is not read, the poses are the reference camera in that of each other piece.
-    ``expected`` (Q, 4, 4) are the poses beforehand, ``std`` (M,) the standard deviations of all.
+    ``expected`` (Q, 4, 4) are the prior means of the poses, ``std`` (M,) the prior standard deviations of all.
     """
 
     poses: Float64
@@ -74,7 +74,7 @@ class EndoscopeValues:
 
     @property
     def information(self) -> Float64:
-        """Information matrix (M, M) beforehand. The errors at all places have that of the reference in them."""
+        """Information matrix (M, M) of the prior. The errors at all places have that of the reference in them."""
         information, places = np.diag(self.std**-2.0), len(self.errors) if len(self.numbers) else 0
         if places:
             alike = 2 * (np.eye(places) - 1 / (places + 1))  # the inverse of (1 + identity) / 2
@@ -98,7 +98,7 @@ class EndoscopeValues:
 
     @property
     def deviation(self) -> Float64:
-        """Differences (M,) from what is expected beforehand, of poses along and about the axes that they are in."""
+        """Differences (M,) from the prior means, of poses along and about the axes that they are in."""
         turns = times(in_tip(self.expected), change_between(self.expected, self.poses))
         return np.concatenate([turns.ravel(), self.numbers])
 
@@ -135,7 +135,7 @@ class EndoscopeBlock(PredictedBlock):
         self.information, self.shared = start.information, shared
 
     def deviation(self, value: Any) -> Float64:
-        """Return the differences from what is expected beforehand."""
+        """Return the differences from the prior means."""
         return np.asarray(value.deviation)
 
     def changed(self, value: Any, step: Float64) -> Any:

@@ -136,8 +136,8 @@ class LagCurve(Document):
         frames
             Number of frames of which the curve is.
         unknown
-            Standard deviation of the lag beforehand, in the unit of the curve. The result is at most the root mean
-            square of what is allowed beforehand.
+            Prior standard deviation of the lag, in the unit of the curve. The result is at most the root mean square
+            of what the prior allows.
         about
             The lag from which the others are counted.
         """
@@ -175,7 +175,7 @@ def lag_taken_out(
     frames
         Number of frames by which it was found.
     unknown
-        Standard deviation of the lag beforehand.
+        Prior standard deviation of the lag.
     """
     curve = curve if curve is not None and curve.unit == unit and len(curve.lags) > 1 else None
     found, std = (None, None) if lag is None else lag.known_in(unit)

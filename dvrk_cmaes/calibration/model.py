@@ -98,7 +98,7 @@ class SessionModel:
     correction
         What the cables are known to add to the readings of roll and of the instrument's joints.
     offset_std : (2 + J,)
-        Standard deviations of the offsets about zero beforehand, m and rad.
+        Prior standard deviations of the offsets about zero, m and rad.
     endoscope
         Where an endoscope that moves is in each frame; None for one that stands still.
     """

@@ -79,7 +79,7 @@ class CameraErrors(SeenBlock):
 
 
 class CameraChange(CameraErrors):
-    """The change (3,) of all cameras: by default, nothing is known of it beforehand; arguments as of `SeenBlock`."""
+    """The change (3,) of all cameras, by default with a wide prior; arguments as of `SeenBlock`."""
 
     shared = True
 

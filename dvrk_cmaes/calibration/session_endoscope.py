@@ -37,7 +37,7 @@ from dvrk_cmaes.joints.names import ECM_JOINTS
 
 _HYPOTHESIS_FRAMES, _TEST_FRAMES = 10, 60  # of each consensus of the search
 _TRIED: Final = 4  # cameras in the tip by which the frames agree best, that are refined
-_FOUND: Final = 0.3  # of the deviations beforehand: those of a refined camera in the tip
+_FOUND: Final = 0.3  # of the prior's deviations: those of a refined camera in the tip
 LEAST_PIECE: Final = 3
 """Frames that agree on the base of a piece."""
 _LEAST_WINDOW, _MOST_WINDOWS = 4, 30  # frames of a run that is solved by itself, and number of these
@@ -207,7 +207,7 @@ class SessionEndoscope(Document):
     is not read.
     tip_from_camera : the camera in the endoscope's tip; ecm_from_base : the arm's base in that of the endoscope's arm.
     std_tip_from_camera, std_ecm_from_base : standard deviations along and about the axes of the tip and of the arm's
-    base, with what the offsets of the ECM leave open. expected : what the camera in the tip was taken for beforehand.
+    base, with what the offsets of the ECM leave open. expected : the prior mean of the camera in the tip.
     offsets, std_offsets : of the ECM's joints: true = reading + offset.
     covariance : (K + M, K + M) of base and offsets, as in ``covariance.given_camera``, and of the M unknowns of the
     endoscope.

@@ -117,7 +117,7 @@ def image_axis(instrument: Instrument, camera: Camera, seen: Posed) -> Float64:
 
 
 def without_last(terms: Quadratic, information: Float64) -> Quadratic:
-    """Eliminate the last M unknowns of N quadratic terms, of which (M, M) is known beforehand, about zero.
+    """Eliminate the last M unknowns of N quadratic terms, of which (M, M) is the prior information, about zero.
 
     From terms of D + M unknowns, (N, D + M), to those of the first D, (N, D).
     """
