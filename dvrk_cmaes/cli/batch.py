@@ -131,18 +131,15 @@ def estimated(
     **workers: Any,
 ) -> BatchSummary:
     """Run the batch of an arm's session, with progress on stderr; as `run_batch`, and ``workers`` as of `Workers`."""
-    from dvrk_cmaes.runs.batch import Workers, run_batch
+    from dvrk_cmaes.runs.batch import run_batch
     from dvrk_cmaes.runs.cluster import dask_executor
+    from dvrk_cmaes.runs.pool import Workers
 
     with ExitStack() as stack:
         if scheduler is not None:
             workers["executor"] = stack.enter_context(dask_executor(scheduler, arm.session.folder))
         stop, report = stack.enter_context(stopping_on_interrupt()), stack.enter_context(progress())
-
-        def show_progress(done: int, todo: int, statuses: Mapping[str, int]) -> None:
-            report(done, todo, f", {statuses.get('doubtful', 0)} doubtful, {statuses.get('failed', 0)} failed")
-
-        by = Workers(stop=stop, progress=show_progress, notice=note, **workers)
+        by = Workers(stop=stop, report=report, notice=note, **workers)
         return run_batch(arm, out, pattern=pattern, resume=resume, workers=by)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.calibration.together import Begun
     from dvrk_cmaes.frames.video_frames import Video
     from dvrk_cmaes.runs.frame import ArmInSession
+    from dvrk_cmaes.runs.pool import Workers
     from dvrk_cmaes.runs.track import TrackedArm
 
 _TOLERANCE = 0.05  # s, as of import
@@ -135,14 +136,13 @@ class TrackOptions:
         *,
         target: Path,
         place: PromptOptions,
-        stop: Event,
-        report: Callable[..., None],
+        by: Workers,
     ) -> TrackedArm:
         """Say how an arm of a recording is followed; ``place`` is where it is in the first image."""
         from dvrk_cmaes.joints.lag import Lag
         from dvrk_cmaes.runs.frame import hints_of
         from dvrk_cmaes.runs.track import TrackedArm, TrackSettings
-        from dvrk_cmaes.runs.track_inputs import used_session, with_first_mask, with_increasing_times
+        from dvrk_cmaes.runs.track_inputs import used_session, with_increasing_times
         from dvrk_cmaes.segment.segmentation import Hints, hints_within
 
         timed, doubled = with_increasing_times(arm.session)
@@ -152,18 +152,17 @@ class TrackOptions:
         first, prompted = used.frames[0], place != PromptOptions()
         hints = hints_within(place.hints(), first.crop) if prompted else hints_of(first) or Hints()
         method = replace(arm.method, hints=hints)
-        used = with_first_mask(used, self.first_mask)
+        if self.first_mask is not None:
+            used = replace(used, frames=(replace(first, mask=self.first_mask), *used.frames[1:]))
         rate = method.config.track.frames_a_second
-        same = ("every", "causal", "workers", "video", "page", "rerun")
+        same = ("every", "causal", "video", "page", "rerun")
         settings = TrackSettings(
             lag=None if self.lag == AUTO else Lag.parse("--lag", self.lag).in_seconds(rate),
-            use_joints=self.joints != NO_READINGS,
             evidence=evidence,
             **{field: getattr(self, field) for field in same},
         )
-        notice = note if not name else lambda text: note(f"{name}: {text}")
-        used_arm = replace(arm, session=used, method=method)
-        return TrackedArm(used_arm, target / name, settings, notice=notice, stop=stop, report=report)
+        by = by if not name else replace(by, notice=lambda text: note(f"{name}: {text}"))
+        return TrackedArm(replace(arm, session=used, method=method), target / name, settings, by)
 
 
 def track(
@@ -216,6 +215,7 @@ def track(
         Print only the numbers of frames by status, as JSON, on stdout.
     """
     from dvrk_cmaes.calibration.together import solved_together
+    from dvrk_cmaes.runs.pool import Workers
 
     follow.check()
     with output_folder(follow.out, session if session.is_dir() else session.parent, "tracks", "track") as target:
@@ -226,7 +226,8 @@ def track(
         if len(read) > 1:
             follow.check_for_several(place)
         with stopping_on_interrupt() as stop, progress() as report:
-            asked = partial(follow.arm, target=target, place=place, stop=stop, report=report)
+            by = Workers(follow.workers, stop=stop, report=report, notice=note)
+            asked = partial(follow.arm, target=target, place=place, by=by)
             arms = {name: asked(name, arm) for name, arm in read.items()}
             begun = solved_together({name: partial(_begin, arm, stop) for name, arm in arms.items()})
         finished = {name: arm for name, arm in begun.items() if arm is not None}

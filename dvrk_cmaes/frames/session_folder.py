@@ -244,6 +244,7 @@ def read_session(
         notes = ("a session folder", *notes)
     else:
         frames, readings, times = find_published_frames(root), (), {}
+        frames = frames if joints is not None else tuple(replace(frame, readings={}) for frame in frames)
         notes = ("frames in the published layout, a folder each",)
     if said.crop is not None:
         frames = tuple(frame.changed(crop=said.crop) for frame in frames)

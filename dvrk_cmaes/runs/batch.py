@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import functools
-import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -49,32 +47,10 @@ from dvrk_cmaes.runs.manifest import (
     read_manifest,
     results_of,
 )
-from dvrk_cmaes.runs.pool import WorkerDied, pool_of, usable_cores
-from dvrk_cmaes.runs.pool import Workers as Executors
+from dvrk_cmaes.runs.pool import Executors, WorkerDied, Workers, pool_of, usable_cores
 from dvrk_cmaes.runs.pool import run as run_tasks
-from dvrk_cmaes.runs.summary import summarize, timing_of
+from dvrk_cmaes.runs.summary import summarize
 from dvrk_cmaes.segment.segmentation import SegmentSettings
-
-TIME_LIMIT = 600.0
-"""Seconds after which a frame is given up in a worker process."""
-
-
-@dataclass(frozen=True, eq=False)
-class Workers:
-    """What estimates frames: ``count`` processes, or the ``executor``, which may be open worker processes.
-
-    By default there are as many processes as the cores allow. A frame is given up after ``time_limit`` s in a process.
-    Once ``stop`` is set, running frames are finished and no more are started. ``progress`` is called at the start and
-    after each frame, whose files are written, with the numbers of frames done and to do, and of those by status with
-    the ones that have a result already. ``notice`` is called with messages about the whole batch.
-    """
-
-    count: int | None = None
-    executor: Executor | Executors | None = None
-    time_limit: float = TIME_LIMIT
-    stop: threading.Event = field(default_factory=threading.Event)
-    progress: Callable[[int, int, Mapping[str, int]], None] = lambda done, todo, statuses: None
-    notice: Callable[[str], None] = lambda text: None
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,23 +131,22 @@ def run_batch(
         for text in masks.notes:
             workers.notice(text)
         ran, statuses = 0, Counter[str](kept)
-        workers.progress(ran, len(todo), statuses)
+        workers.report(ran, len(todo))
         for outcome in outcomes(arm, todo, workers):
             write_outcome(out, outcome)
             ran += 1
             statuses[outcome.result.status] += 1
-            workers.progress(ran, len(todo), statuses)
-        finished = finish(out, timing_of(ran, time.monotonic() - started), method.config.trust)
+            workers.report(ran, len(todo), f", {statuses['doubtful']} doubtful, {statuses['failed']} failed")
+        finished = finish(out, (ran, time.monotonic() - started), method.config.trust)
     document, interrupted = finished.summary or {}, workers.stop.is_set() and ran < len(todo)
     return BatchSummary(ran, interrupted, document, finished.frames)
 
 
-def finish(
-    out: str | Path, timing: Mapping[str, float] | None = None, trust: TrustConfig | None = None
-) -> ResultsFolder:
+def finish(out: str | Path, ran: tuple[int, float] = (0, 0.0), trust: TrustConfig | None = None) -> ResultsFolder:
     """Write the tables and the page of the results in a folder, and return these results with their new summary.
 
-    Each result is parsed once. Bases are compared by the limit of ``trust``, by default that of new settings.
+    Each result is parsed once. ``ran`` are the number of frames that were just estimated, and the time, s. Bases are
+    compared by the limit of ``trust``, by default that of new settings.
 
     Raises
     ------
@@ -188,7 +163,7 @@ def finish(
         limit = (trust or TrustConfig()).largest_base_deg
         results = replace(results, frames=compare_bases(out, results.frames, limit))
         write_text(out / POSES, table_text(pose_rows(results.frames.values())))
-    results = replace(results, summary=summarize(results.frames, manifest, timing, calibration=results.session))
+    results = replace(results, summary=summarize(results.frames, manifest, ran, calibration=results.session))
     write_json(out / SUMMARY, results.summary)
     if results.frames:
         from dvrk_cmaes.report.page import write_page
@@ -221,8 +196,6 @@ def _prepare(
 
 def outcomes(arm: ArmInSession, todo: Sequence[FrameFiles], workers: Workers) -> Iterator[FrameOutcome]:
     """Yield the outcomes of frames in the order of completion, by the workers that are given or by its own."""
-    if not todo:
-        return
     given, stop = workers.executor, workers.stop
     call = functools.partial(run_task, *shared(arm))
     with ExitStack() as opened:

@@ -12,17 +12,17 @@ from typing import Any, Final
 from dvrk_cmaes.config import __version__
 from dvrk_cmaes.errors import DvrkCmaesError, InputError, missing_library
 from dvrk_cmaes.io.short_text import shown
-from dvrk_cmaes.runs.pool import Workers
+from dvrk_cmaes.runs.pool import Executors
 
 _ADDRESS: Final = re.compile(r"(?:tcp://)?(\[[0-9a-fA-F:.]+\]|[\w.-]+):(\d{1,5})")
 CONNECT_S: Final = 15  # s, for the connection to the scheduler, and then for its first worker
 
 
 @contextmanager
-def dask_executor(address: str, folder: str | Path) -> Iterator[Workers]:
+def dask_executor(address: str, folder: str | Path) -> Iterator[Executors]:
     """Return a context manager that connects to a Dask scheduler and gives its workers as an executor.
 
-    Workers may join and leave during the run. If a worker dies, its frames are given to other workers. A frame on
+    Executors may join and leave during the run. If a worker dies, its frames are given to other workers. A frame on
     which more workers have died than the scheduler's setting ``allowed-failures`` (3 by default) is given up.
 
     Parameters
@@ -63,7 +63,7 @@ def dask_executor(address: str, folder: str | Path) -> Iterator[Workers]:
             # waits behind one that kills its workers would be given up with it.
             return max(1, int(sum(client.nthreads().values())))
 
-        yield Workers(client.get_executor(pure=False), at_once, (KilledWorker,))
+        yield Executors(client.get_executor(pure=False), at_once, (KilledWorker,))
 
 
 def _check_address(address: str) -> None:

@@ -33,7 +33,6 @@ from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.frame import estimate_frame, hints_of
 from dvrk_cmaes.runs.recording import RecordedFrames, RecordedSolution, predict, read_seen
-from dvrk_cmaes.runs.track_inputs import series_of
 from dvrk_cmaes.segment import segment
 from dvrk_cmaes.segment.segmentation import GUESS, Hints
 from dvrk_cmaes.segment.shaft_pairs import prompts_in
@@ -61,9 +60,7 @@ def with_keyframes(session: Session, most: int) -> Session:
     InputError
         A file of a frame is wrong; no frame is well in view and has readings of all outer joints.
     """
-    series = series_of(session)
-    times = np.array([series.frames[own.name] for own in session.frames])
-    recorded = RecordedFrames(session.frames, session.rig, series, times).with_own_masks()
+    recorded = RecordedFrames.of(session).with_own_masks()
     frames = tuple(session.frames[i] for i in recorded.keyframes(most))
     if not frames:
         raise InputError(
@@ -90,7 +87,6 @@ def _begin_chosen(
         frozen = f" (readings frozen since frame {since})" if recorded.frozen.any() else ""
         return Begun.of(f"{len(keyframes)} frames are well in view and have readings{frozen}, fewer than {least}")
     work.progress("estimating keyframes", len(keyframes))
-    work = replace(work, series=recorded.series)
     frames = _estimated(recorded, keyframes, work)
     begun = _tried(lambda: begin_arm(frames, work))
     if isinstance(begun, str):

@@ -181,8 +181,8 @@ def check_same_session(out: Path, session: Session) -> None:
     if old is None or Path(old["session"]).resolve() == session.folder.resolve():
         return
     for files in session.frames:
-        before = old["frames"].get(files.name, {})
-        if any(before.get(part) == digest for part, digest in frame_stamps(files).items() if part in _OF_FILES):
+        before = old["frames"].get(files.name, {}).items()
+        if any(part in _OF_FILES for part, _ in before & frame_stamps(files).items()):
             return
     raise InputError(f"{out}: it has the results of another session ({old['session']}); choose another --out")
 

@@ -22,7 +22,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence, S
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor
 from concurrent.futures import wait as wait_for
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
 from types import FrameType
@@ -68,7 +68,7 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-class Workers:
+class Executors:
     """An executor of the caller, such as that of a cluster.
 
     Parameters
@@ -104,14 +104,8 @@ class Workers:
         except (Exception, CancelledError) as error:  # the call does not raise: the error lies in the transport
             raise _lost(error) from error
 
-    def renew(self) -> None:
-        """Go on after a process died."""
 
-    def kill(self) -> None:
-        """End what is running, but for an executor of the caller."""
-
-
-class Pool(Workers):
+class Pool(Executors):
     """Worker processes of this machine, as a context manager at whose end they have ended.
 
     Parameters
@@ -201,8 +195,30 @@ class Pool(Workers):
         return [found[k] for k in range(len(tasks))]
 
 
+TIME_LIMIT = 600.0
+"""Seconds after which a frame is given up in a worker process."""
+
+
+@dataclass(frozen=True, eq=False)
+class Workers:
+    """What a run is done by, and who hears of it: ``count`` processes, or the ``executor``, which may be open ones.
+
+    By default there are as many processes as the cores allow. A frame is given up after ``time_limit`` s in a process.
+    Once ``stop`` is set, running frames are finished and no more are started. ``report`` is called at the start and as
+    frames are done, whose files are written, with the numbers of frames done and to do, and more in words. ``notice``
+    is called with messages about the whole run.
+    """
+
+    count: int | None = None
+    executor: Executor | Executors | None = None
+    time_limit: float = TIME_LIMIT
+    stop: threading.Event = field(default_factory=threading.Event)
+    report: Callable[..., None] = lambda done, todo, more="": None
+    notice: Callable[[str], None] = lambda text: None
+
+
 def run(
-    workers: Workers,
+    workers: Executors,
     tasks: Iterable[T],
     call: Callable[[T], R],
     *,
@@ -234,16 +250,17 @@ def run(
         What ``call`` raised.
     """
     source, stop = iter(tasks), stop or threading.Event()
-    limit = () if time_limit is None or not isinstance(workers, Pool) else (limited, time_limit)
+    pool = workers if isinstance(workers, Pool) else None
+    limit = () if time_limit is None or pool is None else (limited, time_limit)
     running: dict[Future[Any], T] = {}
     alone: deque[T] = deque()  # those that were in flight when a process died
-    here, limits = isinstance(workers, Pool) and workers.here, contextlib.ExitStack()
+    here, limits = pool is not None and pool.here, contextlib.ExitStack()
     try:
-        if isinstance(workers, Pool) and workers.here:
+        if pool is not None and here:
             limits.callback(cv2.setNumThreads, cv2.getNumThreads())
             cv2.setNumThreads(1)
             limits.enter_context(threadpool_limits(1))
-            workers.start()
+            pool.start()
         while True:
             while not stop.is_set() and (not running if alone else len(running) < workers.at_once()):
                 task = alone[0] if alone else next(source, None)
@@ -264,15 +281,15 @@ def run(
                     if alone:
                         alone.popleft()
                     yield running.pop(future), workers.value(future)
-            if died:
-                workers.renew()
+            if died and pool is not None:
+                pool.renew()
                 if alone:
                     yield alone.popleft(), WorkerDied(_DIED)
                 else:
                     alone.extend(died)
     finally:
-        if running:
-            workers.kill()
+        if running and pool is not None:
+            pool.kill()
         for future in running:
             future.cancel()
         limits.close()

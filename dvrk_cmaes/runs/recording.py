@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Final
@@ -16,9 +16,10 @@ from dvrk_cmaes.calibration.session_problem import ArmSetup
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
+from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.joints.interpolation import Sparseness
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, Sparseness
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.joints.series import ReadingSeries
@@ -37,16 +38,33 @@ BLOCK: Final = 10
 
 @dataclass(frozen=True, eq=False)
 class RecordedFrames:
-    """The N frames of a recording that are followed: files, cameras, all readings, and times (N,), s.
+    """The N frames of a recording that are followed: files, cameras, and all readings, with the times of all frames.
 
+    ``seconds`` is the unit of these times, s: where images are only counted, it follows from their number a second.
     ``shapes`` are those of the masks that were measured, by number of the frame.
     """
 
     files: tuple[FrameFiles, ...]
     rig: Rig
     series: ReadingSeries
-    times: Float64
+    seconds: float = 1.0
     shapes: Mapping[int, MaskShape] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, session: Session, rate: float = 1.0, every: int = 1) -> RecordedFrames:
+        """Return every N-th frame of a session; without a clock, they are counted, ``rate`` a second."""
+        names, given = [files.name for files in session.frames], session.image_times
+        series = session.reading_series()
+        if series is None or any(name not in series.frames for name in names):
+            times = {name: None if (time := given.get(name)) is None else time / NANOSECONDS for name in names}
+            series = ReadingSeries.of_frames({files.name: files.readings for files in session.frames}, times)
+            series = series or ReadingSeries("frames", {}, {}, dict.fromkeys(names, 0.0), 1.0)
+        return cls(session.frames[::every], session.rig, series, 1.0 if series.unit == "s" else 1 / rate)
+
+    @cached_property
+    def times(self) -> Float64:
+        """Times (N,) of the frames, s."""
+        return np.array([self.series.frames[own.name] for own in self.files]) * self.seconds
 
     def with_own_masks(self) -> RecordedFrames:
         """Return the frames with the shapes of their masks; InputError names a file that is wrong."""
@@ -83,8 +101,7 @@ class RecordedFrames:
         """
         usable = well_in_view(self._every_shape) if usable is None else usable
         names = tuple(dict.fromkeys(name for own in self.files for name in own.readings))
-        readings = np.array([[own.readings.get(name, np.nan) for name in names] for own in self.files])
-        return choose_keyframes(usable & self.trusted, self.times, names, readings, most)
+        return choose_keyframes(usable & self.trusted, self.times, names, self.readings(names, None), most)
 
     def readings(self, names: tuple[str, ...], lag: Lag | None) -> Float64:
         """Return the readings (N, K) of joints at the times of the images less a lag; NaN where there is none."""
@@ -92,6 +109,29 @@ class RecordedFrames:
             return np.array([[own.readings.get(name, np.nan) for name in names] for own in self.files])
         at = np.array([self.series.frames[own.name] for own in self.files]) - lag.in_unit(self.series.unit)
         return self.series.at(names, at)
+
+    @property
+    def interval(self) -> float:
+        """Time between consecutive images of the recording, s."""
+        return self.series.interval * self.seconds
+
+    def readings_before(self, late: float) -> dict[str, Float64]:
+        """Interpolate the readings (N,) of each joint some seconds before the images; NaN where they are not known."""
+        at = (self.times - late) / self.seconds
+        return {joint: self.series.at((joint,), at)[:, 0] for joint in sorted(self.series.times)}
+
+    def lag(self, late: float, std: float) -> Lag:
+        """Return a lag with its standard deviation, both in s, that is taken out of the readings."""
+        unit, series = self.seconds, self.series
+        return Lag.of(late / unit, std / unit, series.unit, series.interval, applied=True)
+
+    def rows(self) -> Iterator[tuple[float, dict[str, float]]]:
+        """Yield all readings with their times, s, in order."""
+        rows: dict[float, dict[str, float]] = {}
+        for name, stamps in self.series.times.items():
+            for stamp, value in zip(stamps.tolist(), self.series.values[name].tolist(), strict=True):
+                rows.setdefault(stamp * self.seconds, {})[name] = value
+        yield from sorted(rows.items())
 
 
 def read_seen(files: FrameFiles, rig: Rig, *, images: bool = True) -> FrameData | None:
@@ -143,13 +183,12 @@ def predict(
 def _sparseness(recorded: RecordedFrames, lag: Lag | None) -> list[Sparseness]:
     """Return for each of N frames how far its readings may be off between those that were taken."""
     series = recorded.series
-    if series.unit != "s" or not set(OUTER_JOINTS) <= set(series.times):
-        return [Sparseness()] * len(recorded.files)
-    stamps, late = series.times[OUTER_JOINTS[0]], 0.0 if lag is None else lag.in_unit("s")
+    stamps = series.times.get(OUTER_JOINTS[0], np.zeros(0))
     values = series.at(OUTER_JOINTS, stamps)
     read = ~np.isnan(values).any(axis=1)
-    if not read.any():
+    if series.unit != "s" or not read.any():
         return [Sparseness()] * len(recorded.files)
+    late = 0.0 if lag is None else lag.in_unit("s")
     return [Sparseness.of(stamps[read], values[read], series.frames[own.name] - late) for own in recorded.files]
 
 

@@ -19,7 +19,6 @@ from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, Solution
 
 R = TypeVar("R")
-T = TypeVar("T")
 
 _TRIES = 2  # of a problem that its process dies on
 
@@ -43,7 +42,7 @@ class SolverProcess(ExitStack):
     def __init__(self, body: Body, *, threads: int = 1, background: bool = False) -> None:
         super().__init__()
         self._threads, self._body = threads, packed(body)
-        self._process = self.enter_context(Pool(partial(_prepare, background), 1))
+        self._process = self.enter_context(Pool(partial(os.nice, 10) if background else int, 1))
         self._asking = self.enter_context(ThreadPoolExecutor(1))
         self._ended = False
         self.callback(self._end)
@@ -78,21 +77,22 @@ class SolverProcess(ExitStack):
         """Estimate a keyframe; where that fails, it is tried again, and raised, with a problem."""
         self._alone[name] = None
         with suppress(Exception):
-            self._alone |= self._called(_estimate, task)
+            self._alone |= self._called(KeyframeProblem.estimate, task)
 
     def _solved(self, problem: KeyframeProblem) -> Solution:
         """Solve a problem with what was found of its keyframes by themselves, so that none is estimated twice."""
         known = {one.name: result for one in problem.keyframes if (result := self._alone.get(one.name)) is not None}
-        solution = self._called(_solve, replace(problem, alone={**known, **problem.alone}))
+        solution = self._called(KeyframeProblem.solve, replace(problem, alone={**known, **problem.alone}))
         self._alone |= solution.alone
         give_back_memory()
         return solution
 
-    def _called(self, function: Callable[[bytes, T, int], R], task: T) -> R:
-        """Call a function with the instrument in the process; one that has died is started again, once."""
+    def _called(self, method: Callable[[KeyframeProblem, Body, int], R], problem: KeyframeProblem) -> R:
+        """Call a method of a problem in the process; one that has died is started again, once."""
         for _ in range(_TRIES):
             try:
-                return self._process.submit(function, self._body, task, self._threads).result()
+                found: Future[R] = self._process.submit(_apply, self._body, method, problem, self._threads)
+                return found.result()
             except (BrokenProcessPool, CancelledError):
                 self._process.kill()
                 if self._ended:
@@ -106,19 +106,8 @@ class SolverProcess(ExitStack):
         self._process.kill()
 
 
-def _prepare(background: bool) -> None:
-    """Give the process its priority."""
-    if background and hasattr(os, "nice"):
-        os.nice(10)
-
-
-def _estimate(body: bytes, task: KeyframeProblem, threads: int) -> dict[str, Result]:
-    """Estimate a keyframe by itself."""
-    return task.estimate(unpacked(body), threads)
-
-
-def _solve(body: bytes, problem: KeyframeProblem, threads: int) -> Solution:
-    """Solve a problem."""
-    solution = problem.solve(unpacked(body), threads)
+def _apply(body: bytes, method: Callable[[KeyframeProblem, Body, int], R], problem: KeyframeProblem, threads: int) -> R:
+    """Call a method of a problem with the instrument, and return the memory that it needed."""
+    found = method(problem, unpacked(body), threads)
     give_back_memory()
-    return solution
+    return found

@@ -19,17 +19,10 @@ _OF_QUALITY: Final = ("iou", "contour_px_median", "contour_px_95")
 _DIGITS: Final = 6
 
 
-def timing_of(frames: int, seconds: float) -> dict[str, float] | None:
-    """Return the duration of a run for summary.json; None if it estimated no frame."""
-    if not frames:
-        return None
-    return {"frames": frames, "seconds": round(seconds, 3), "frames_per_second": round(frames / seconds, 4)}
-
-
 def summarize(
     results: Mapping[str, Result],
     manifest: Mapping[str, Any],
-    timing: Mapping[str, float] | None = None,
+    ran: tuple[int, float] = (0, 0.0),
     *,
     calibration: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
@@ -41,13 +34,14 @@ def summarize(
         The results by name of the frame.
     manifest
         The manifest, with all frames of the session.
-    timing
-        Duration of the run that has just ended, if any, as of `timing_of`.
+    ran
+        Number of frames that the run that has just ended has estimated, if any, and its duration, s.
     calibration
         The content of session.json if the frames were solved together; its lag is repeated.
     """
     missing = sorted(set(manifest["frames"]) - set(results))
-    values = list(results.values())
+    values, (done, seconds) = list(results.values()), ran
+    timing = {"frames": done, "seconds": round(seconds, 3), "frames_per_second": round(done / (seconds or 1.0), 4)}
     statuses = Counter(result.status for result in values)
     names = tuple(dict.fromkeys(name for result in values for name in result.joints))
     return {
@@ -66,7 +60,7 @@ def summarize(
         "missing": missing,
         "lag": None if calibration is None else calibration.get("lag"),
         "commanded": commanded_in([result.readings for result in values], names),
-        "timing": {"run": timing},
+        "timing": {"run": timing if done else None},
         "config": manifest["config"],
         **({"rig_doubts": rig_doubts(values)} if any(result.view_fits for result in values) else {}),
     }

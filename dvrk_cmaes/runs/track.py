@@ -6,16 +6,13 @@ the one before.
 
 from __future__ import annotations
 
-import threading
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
-
-import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.session_problem import ArmSetup
@@ -34,11 +31,11 @@ from dvrk_cmaes.results.folder import SESSION
 from dvrk_cmaes.results.tracked import TABLE, TRACKS, VIDEO, TrackResult, line_of, write_table
 from dvrk_cmaes.runs.frame import ArmInSession
 from dvrk_cmaes.runs.keyframes import begin_solution
-from dvrk_cmaes.runs.manifest import Manifest, frame_stamps, manifest_of
-from dvrk_cmaes.runs.pool import StoppedError, pool_of, run_in, usable_cores
+from dvrk_cmaes.runs.manifest import frame_stamps, manifest_of
+from dvrk_cmaes.runs.pool import StoppedError, Workers, pool_of, run_in, usable_cores
 from dvrk_cmaes.runs.recording import RecordedFrames, RecordedSolution, follow_window
 from dvrk_cmaes.runs.solver_process import SolverProcess
-from dvrk_cmaes.runs.track_inputs import EvidenceKind, TrackClock, files_of_views, read_arrays, series_of
+from dvrk_cmaes.runs.track_inputs import EvidenceKind, files_of_views, read_arrays
 from dvrk_cmaes.runs.track_outputs import write_outputs
 from dvrk_cmaes.segment import segment
 from dvrk_cmaes.segment.segmentation import Hints
@@ -50,22 +47,18 @@ _SAME_TIME: Final = 1e-9  # s
 
 @dataclass(frozen=True, eq=False)
 class TrackSettings:
-    """What is followed, how, and what is written: as the options of ``dvrk-cmaes track``.
-
-    ``workers`` is the number of processes that fit a recording with its own calibration; by default that of the cores.
-    """
+    """What is followed, how, and what is written: as the options of ``dvrk-cmaes track``."""
 
     lag: float | None = None
     every: int = 1
-    use_joints: bool = True
     causal: bool = False
     evidence: EvidenceKind | None = None
-    workers: int | None = None
     video: bool = True
     page: bool = True
     rerun: Path | None = None
 
 
+@dataclass(eq=False)
 class TrackedArm:
     """An arm of a session that is followed: begin it with all others of the session, which are finished together.
 
@@ -77,46 +70,35 @@ class TrackedArm:
         Folder of the results.
     settings
         What is followed and how.
-    notice
-        Called with a line about each stage of a recording that is solved by its keyframes, or why it is not.
+    by
+        What fits a recording with its own calibration, and hears of each stage, or why there is none.
 
-    stop
-        Once this event is set, the run ends soon.
-    report
-        Called with the number of frames done and that of all of a stage.
-
-    ``frames`` are those that are followed. Once they are, ``rows`` are those of tracks.jsonl, ``calibration`` is what
-    they rest on, with its whole lag, and ``readings`` has those of each joint at the frames, less the lag, NaN without.
-    ``remarks`` are about the readings.
+    ``recorded`` has the frames that are followed. Once they are, ``rows`` are those of tracks.jsonl, ``calibration`` is
+    what they rest on, with its whole lag, and ``readings`` has those of each joint at the frames, less the lag, NaN
+    without. ``remarks`` are about the readings.
     """
 
-    def __init__(
-        self,
-        arm: ArmInSession,
-        out: Path,
-        settings: TrackSettings,
-        *,
-        notice: Callable[[str], None],
-        stop: threading.Event,
-        report: Callable[..., None],
-    ) -> None:
-        every, joints = arm.session.frames[:: settings.every], arm.body.instrument.joint_names
-        self.frames = tuple(replace(files, problem=None, unread=False) if files.unread else files for files in every)
-        series, rate = series_of(arm.session), arm.method.config.track.frames_a_second
-        used = tuple(series.times) if settings.use_joints else ()
-        self.clock = TrackClock(series, 1.0 if series.unit == "s" else 1 / rate, used)
-        readings = [files.readings for files in self.frames] if settings.use_joints else []
-        commanded = commanded_in(readings, joints)
-        self.remarks = (describe_commanded(commanded),) if commanded else ()
-        self.arm = arm.with_config(with_commanded(arm.method.config, commanded, joints))
-        self.session, self.body, self.out, self.settings = arm.session, arm.body, out, settings
-        self._notice, self._stop, self._report = notice, stop, report
-        given = arm.method.session
-        self._lag = None if settings.lag is None else self.clock.lag(settings.lag, 0.0)
+    arm: ArmInSession
+    out: Path
+    settings: TrackSettings
+    by: Workers
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    calibration: SessionCalibration | None = None
+    readings: Mapping[str, Float64] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        self.session, self.body, settings = self.arm.session, self.arm.body, self.settings
+        method, joints = self.arm.method, self.body.instrument.joint_names
+        recorded = RecordedFrames.of(self.session, method.config.track.frames_a_second, settings.every)
+        frames = (replace(own, problem=None, unread=False) if own.unread else own for own in recorded.files)
+        self.recorded = recorded = replace(recorded, files=tuple(frames))
+        if commanded := commanded_in([files.readings for files in recorded.files], joints):
+            self.remarks = (describe_commanded(commanded),)
+        self.arm = self.arm.with_config(with_commanded(method.config, commanded, joints))
+        self._lag = None if settings.lag is None else recorded.lag(settings.lag, 0.0)
+        given = method.session
         self._given = given if given is None or self._lag is None else replace(given, lag=self._lag)
-        self.rows: list[dict[str, Any]] = []
-        self.calibration: SessionCalibration | None = None
-        self.readings: Mapping[str, Float64] = {}
 
     @property
     def counts(self) -> dict[str, int]:
@@ -126,12 +108,12 @@ class TrackedArm:
     @property
     def interrupted(self) -> bool:
         """Whether the run was stopped before the end."""
-        return len(self.rows) < len(self.frames)
+        return len(self.rows) < len(self.recorded.files)
 
     @property
     def frames_a_second(self) -> float:
         """Frames a second that are followed."""
-        return 1 / (self.clock.interval * self.settings.every)
+        return 1 / (self.recorded.interval * self.settings.every)
 
     def begin(self) -> Begun[TrackedArm]:
         """Open the folder, and solve the keyframes; what `solved_together` finishes follows the arm, and writes all.
@@ -147,33 +129,30 @@ class TrackedArm:
         with ExitStack() as stack:
             own = stack.enter_context(output(self.out, "track"))
             own.refuse((TRACKS, TABLE, VIDEO, PAGE, SESSION, *own.files))
-            if self.settings.use_joints and not self.settings.causal:
+            if self.recorded.series.times and not self.settings.causal:
                 with suppress(StoppedError):
                     begun = self._begin_keyframes(stack)
             return Begun(partial(self._finish, own, begun), begun.arm).within(stack.pop_all())
 
     def _begin_keyframes(self, stack: ExitStack) -> Begun[RecordedSolution | str | None]:
         """Use the calibration that was given, or else solve the keyframes."""
-        settings, method = self.settings, self.arm.method
-        frames, series, given = self.frames, self.clock.series, self._given
+        settings, method, recorded, by = self.settings, self.arm.method, self.recorded, self.by
         config = replace(method.config, threads=1)
-        pool = stack.enter_context(pool_of(settings.workers or usable_cores(), frames))
-        pool.stop, pool.report = self._stop, self._report
-        run, notice = run_in(pool, self.body, config), self._notice
+        pool = stack.enter_context(pool_of(by.count or usable_cores(), recorded.files))
+        pool.stop, pool.report = by.stop, by.report
         work = ArmSetup(
-            series,
+            recorded.series,
             self.body.instrument,
             method.arm,
             config,
-            run,
-            lambda stage, k: notice(f"{stage}: {k} frames"),
+            run_in(pool, self.body, config),
+            lambda stage, k: by.notice(f"{stage}: {k} frames"),
             lag=self._lag,
         )
-        recorded = RecordedFrames(frames, self.session.rig, series, np.array(self.clock.times(frames)))
-        if given is not None and not recorded.trusted.any():
+        if self._given is not None and not recorded.trusted.any():
             return Begun.of("no frame has readings of the outer joints that are not frozen")
         hints = None if settings.evidence == "masks" else method.hints or Hints()
-        return begin_solution(recorded, given, hints, work)
+        return begin_solution(recorded, self._given, hints, work)
 
     def _finish(self, own: Output, begun: Begun[RecordedSolution | str | None], outcome: Outcome | None) -> TrackedArm:
         """Finish the keyframes of the arm, whose folder and processes are open, follow it, and write everything.
@@ -182,16 +161,20 @@ class TrackedArm:
         """
         with suppress(StoppedError):
             self._follow(begun.finish(outcome))
-        own.describe(self._manifest())
+        names = ("lag", "every", "causal", "evidence")
+        followed = {name: encoded(getattr(self.settings, name)) for name in names}
+        followed |= {"use_joints": bool(self.recorded.series.times), "hints": encoded(self.arm.method.hints)}
+        stamps = {files.name: frame_stamps(files) for files in self.recorded.files}
+        own.describe(manifest_of(self.arm, stamps) | {"track": followed})
         if self.rows:
             write_text(self.out / TRACKS, "".join(line_of(row) for row in self.rows))
         known, late = self.calibration, self.settings.lag or 0.0
         if known is not None:
             self.calibration = known = replace(known, remarks=tuple(dict.fromkeys((*known.remarks, *self.remarks))))
-            late = late if known.applied_lag is None else known.applied_lag.in_seconds(1 / self.clock.interval)
+            late = late if known.applied_lag is None else known.applied_lag.in_seconds(1 / self.recorded.interval)
             if self.rows:
                 write_json(self.out / SESSION, known.to_dict())
-        self.readings = self.clock.readings_at(np.array(self.clock.times(self.frames)) - late)
+        self.readings = self.recorded.readings_before(late)
         if not self.interrupted:
             write_table(self.out / TABLE, self.rows, self.body.instrument.joint_names)
             write_outputs(self)
@@ -200,42 +183,43 @@ class TrackedArm:
 
     def _follow(self, found: RecordedSolution | str | None) -> None:
         """Follow by the solution of the keyframes, or from image to image after a line that says why there is none."""
-        if self._stop.is_set():
+        if self.by.stop.is_set():
             return
         if isinstance(found, RecordedSolution):
             results = follow_window(found)
-            self.rows = [self._row(files, result) for files, result in zip(self.frames, results, strict=True)]
+            self.rows = [self._row(files, result) for files, result in zip(self.recorded.files, results, strict=True)]
             self.calibration = found.calibration
             return
         if not self.settings.causal:
-            self._notice(f"followed from image to image, as by --causal: {found or 'without readings'}")
+            self.by.notice(f"followed from image to image, as by --causal: {found or 'without readings'}")
         self._forwards()
 
     def _forwards(self) -> None:
         """Follow the frames from image to image; readings are given to the tracker when their time has come."""
-        settings, method, readings = self.settings, self.arm.method, deque(self.clock.readings())
+        settings, method, recorded = self.settings, self.arm.method, self.recorded
+        readings, count = deque(recorded.rows()), len(recorded.files)
         tracker = Tracker(self.session.rig, self.body, method.session, method.config, arm=method.arm, lag=settings.lag)
         with ExitStack() as stack:
-            self._report(0, len(self.frames))
+            self.by.report(0, count)
             solver = None
-            if set(OUTER_JOINTS) <= {*self.clock.joints}:  # which alone tell of a base
-                solver = stack.enter_context(SolverProcess(self.body, threads=settings.workers or usable_cores()))
+            if set(OUTER_JOINTS) <= {*recorded.series.times}:  # which alone tell of a base
+                solver = stack.enter_context(SolverProcess(self.body, threads=self.by.count or usable_cores()))
             schedule = SolutionSchedule(tracker, solver)
-            for files, time in zip(self.frames, self.clock.times(self.frames), strict=True):
+            for files, time in zip(recorded.files, recorded.times.tolist(), strict=True):
                 while readings and readings[0][0] <= time + _SAME_TIME:
                     tracker.add_readings(*readings.popleft())
                 seen = self._seen(files)
                 schedule.before_step(time)
                 self.rows.append(self._row(files, tracker.step(time, *seen)))
                 schedule.after_step(time)
-                self._report(len(self.rows), len(self.frames))
-                if self._stop.is_set():
+                self.by.report(len(self.rows), count)
+                if self.by.stop.is_set():
                     break
             else:
                 schedule.finish()
         self.calibration, lag = tracker.calibration, tracker.lag
         if self.calibration is not None and settings.lag is not None and lag is not None:
-            self.calibration = replace(self.calibration, lag=self.clock.lag(*lag))
+            self.calibration = replace(self.calibration, lag=recorded.lag(*lag))
 
     def _seen(self, files: FrameFiles) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
         """Return masks, images and ignored pixels of a frame by view; InputError for a file that is wrong."""
@@ -245,21 +229,14 @@ class TrackedArm:
         for name, of_view in files_of_views(files, self.session.rig).items():
             image, masks[name], ignored[name] = read_arrays(of_view, self.session.rig.view(name).camera)
             images[name] = None if self.settings.evidence == "masks" else image
-        first, hints = self.session.rig.names[0], self.arm.method.hints
-        if files is self.frames[0] and hints is not None and masks.get(first) is None and images.get(first) is not None:
+        first, hints = self.session.rig.names[0], self.arm.method.hints or Hints()
+        if files is self.recorded.files[0] and masks.get(first) is None and images.get(first) is not None:
             mask = segment(images[first], **vars(hints)).mask
             masks[first] = mask if mask.any() else None
         return masks, images, ignored
 
     def _row(self, files: FrameFiles, result: TrackResult) -> dict[str, Any]:
         """Return the row of a frame in tracks.jsonl; without any readings, it says that nothing tells the mode."""
-        if not self.clock.joints and self.body.instrument.has_twin and result.status == "doubtful":
+        if not self.recorded.series.times and self.body.instrument.has_twin and result.status == "doubtful":
             result = replace(result, reasons=(NO_READINGS, *result.reasons))
-        return result.to_dict(files.name, timed=self.clock.series.unit == "s")
-
-    def _manifest(self) -> Manifest:
-        """Return what the results depend on."""
-        names = ("lag", "every", "use_joints", "causal", "evidence")
-        followed = {name: encoded(getattr(self.settings, name)) for name in names}
-        digests = {files.name: frame_stamps(files) for files in self.frames}
-        return manifest_of(self.arm, digests) | {"track": {**followed, "hints": encoded(self.arm.method.hints)}}
+        return result.to_dict(files.name, timed=self.recorded.series.unit == "s")

@@ -1,11 +1,9 @@
-"""The frames of a session that are followed: which are used, their times, masks and images, and the readings."""
+"""The frames of a session that are followed: which are used, and their masks and images."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 from typing import Literal
 
 import cv2
@@ -16,63 +14,9 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles, frame_size, read_frame
 from dvrk_cmaes.frames.images import match_size
 from dvrk_cmaes.frames.session_folder import Session
-from dvrk_cmaes.geometry import Bool, Float64, Image
-from dvrk_cmaes.joints.interpolation import NANOSECONDS
-from dvrk_cmaes.joints.lag import Lag
-from dvrk_cmaes.joints.series import ReadingSeries
+from dvrk_cmaes.geometry import Bool, Image
 
 EvidenceKind = Literal["masks", "images"]
-
-
-@dataclass(frozen=True, eq=False)
-class TrackClock:
-    """Times of images and readings in seconds.
-
-    ``series`` has all readings, and the times of all frames, whose unit is of ``seconds``: where images are only
-    counted, their times follow from the number of images a second. ``joints`` are those whose readings are used.
-    """
-
-    series: ReadingSeries
-    seconds: float
-    joints: tuple[str, ...]
-
-    @property
-    def interval(self) -> float:
-        """Time between consecutive images, s."""
-        return self.series.interval * self.seconds
-
-    def times(self, frames: Sequence[FrameFiles]) -> list[float]:
-        """Return the times of frames, s."""
-        return [self.series.frames[files.name] * self.seconds for files in frames]
-
-    def lag(self, seconds: float, std: float) -> Lag:
-        """Return a lag with its standard deviation, both in s, that is taken out of the readings of the session."""
-        unit, series = self.seconds, self.series
-        return Lag.of(seconds / unit, std / unit, series.unit, series.interval, applied=True)
-
-    def readings(self) -> Iterator[tuple[float, dict[str, float]]]:
-        """Yield the readings with their times, s, in order."""
-        rows: dict[float, dict[str, float]] = {}
-        for name in self.joints:
-            for stamp, value in zip(self.series.times[name].tolist(), self.series.values[name].tolist(), strict=True):
-                rows.setdefault(stamp * self.seconds, {})[name] = value
-        yield from sorted(rows.items())
-
-    def readings_at(self, times: Float64) -> dict[str, Float64]:
-        """Interpolate the readings of each joint at times (F,), s; NaN where they are not known."""
-        return {joint: self.series.at((joint,), times / self.seconds)[:, 0] for joint in sorted(self.joints)}
-
-
-def series_of(session: Session) -> ReadingSeries:
-    """Return all readings of a session with the times of all its frames; the frames are counted without a clock."""
-    series = session.reading_series()
-    names = [files.name for files in session.frames]
-    if series is not None and all(name in series.frames for name in names):
-        return series
-    given = session.image_times
-    times = {name: None if (time := given.get(name)) is None else time / NANOSECONDS for name in names}
-    series = ReadingSeries.of_frames({files.name: files.readings for files in session.frames}, times)
-    return series or ReadingSeries("frames", {}, {}, dict.fromkeys(names, 0.0), 1.0)
 
 
 def used_session(session: Session, evidence: EvidenceKind | None) -> tuple[Session, EvidenceKind | None]:
@@ -142,12 +86,6 @@ def _by_images(session: Session) -> Session:
     return replace(session, frames=frames, rig=session.rig.with_cameras(fitted), notes=notes)
 
 
-def with_first_mask(session: Session, mask: Path | None) -> Session:
-    """Return a session whose first frame has a mask; as it is without one."""
-    first, *rest = session.frames
-    return session if mask is None else replace(session, frames=(replace(first, mask=mask), *rest))
-
-
 def files_of_views(files: FrameFiles, rig: Rig) -> dict[str, FrameFiles]:
     """Return the files of a frame by view: of those that have a mask or an image, or of the first if none has."""
     there = {name: own for name, own in files.of_views(rig).items() if own.mask is not None or own.has_image}
@@ -162,15 +100,15 @@ def read_arrays(files: FrameFiles, camera: Camera) -> tuple[Image | None, Bool |
     InputError
         A file is wrong, or the mask is not of the camera's size.
     """
-    data = read_frame(files, camera, blank=True)
+    data, size = read_frame(files, camera, blank=True), (camera.width, camera.height)
     if not data.views[0].given:
         return data.image, None, data.ignore
-    if (data.camera.width, data.camera.height) != (camera.width, camera.height):
+    if (data.camera.width, data.camera.height) != size:
         raise InputError(
             f"{files.mask}: expected {camera.width} x {camera.height} pixels as the camera has, got "
             f"{data.camera.width} x {data.camera.height}"
         )
-    image, size = data.image, (camera.width, camera.height)
+    image = data.image
     if image is not None and image.shape[1::-1] != size:
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     return image, data.mask, data.ignore

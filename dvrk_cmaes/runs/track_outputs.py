@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -39,7 +39,7 @@ class _Drawn:
     def views(self, number: int) -> tuple[TrackView, ...]:
         """Read a frame, and render its pose in each view of the rig; InputError for a file that is wrong."""
         row, instrument = self._arm.rows[number], self._arm.body.instrument
-        of_views, found = files_of_views(self._arm.frames[number], self.rig), []
+        of_views, found = files_of_views(self._arm.recorded.files[number], self.rig), []
         for first, (view, renderer) in enumerate(zip(self.rig.views, self._renderers, strict=True)):
             camera, silhouette, posed = view.camera, None, dict[str, Float64]()
             image, mask, _ = read_arrays(of_views[view.name], camera) if view.name in of_views else (None, None, None)
@@ -70,31 +70,29 @@ def write_outputs(arm: TrackedArm) -> None:
     DvrkCmaesError
         OpenCV cannot encode the video; rerun-sdk is not installed.
     """
-    settings, rows, readings = arm.settings, arm.rows, arm.readings
-    if not (settings.video or settings.page or settings.rerun is not None):
-        return
-    rig, instrument, name = arm.session.rig, arm.body.instrument, arm.session.folder.resolve().name
-    page, log, writer = None, None, None
-    if settings.page:
-        video = VIDEO if settings.video else ""
-        alerts = arm.session.warnings
-        page = FollowedRecording(rows, name, instrument.name, arm.calibration, readings, video=video, warnings=alerts)
+    settings, instrument, name = arm.settings, arm.body.instrument, arm.session.folder.resolve().name
+    embedded, alerts = VIDEO if settings.video else "", arm.session.warnings
+    page = FollowedRecording(
+        arm.rows, name, instrument.name, arm.calibration, arm.readings, video=embedded, warnings=alerts
+    )
+    add: list[Callable[[int, Mapping[str, Any], tuple[TrackView, ...]], None]] = []
     with ExitStack() as opened:
         if settings.video:
-            writer = opened.enter_context(whole_video(arm.out / VIDEO, _size_of_views(rig), arm.frames_a_second))
+            size = _size_of_views(arm.session.rig)
+            video = opened.enter_context(whole_video(arm.out / VIDEO, size, arm.frames_a_second))
+            said = "frame", "status", "reasons"
+            add.append(lambda k, row, views: video.write(draw_track(views, **{key: row[key] for key in said})))
+        if settings.page:
+            add.append(lambda k, row, views: page.add(k, views))
         if settings.rerun is not None:
-            log = opened.enter_context(rerun_file(settings.rerun, rig, instrument, name))
+            log = opened.enter_context(rerun_file(settings.rerun, arm.session.rig, instrument, name))
+            add.append(lambda k, row, views: log.add(k, row, {j: float(v[k]) for j, v in arm.readings.items()}, views))
         drawn = _Drawn(arm)
-        for number, row in enumerate(rows):
+        for number, row in enumerate(arm.rows if add else ()):
             views = drawn.views(number)
-            if writer is not None:
-                writer.write(draw_track(views, frame=row["frame"], status=row["status"], reasons=row["reasons"]))
-            if page is not None:
-                page.add(number, views)
-            if log is not None:
-                read = {joint: float(values[number]) for joint, values in readings.items()}
-                log.add(number, row, read, views)
-    if page is not None:
+            for to_file in add:
+                to_file(number, row, views)
+    if settings.page:
         write(arm.out / PAGE, track_page(page))
 
 

@@ -26,8 +26,9 @@ from dvrk_cmaes.io.json_file import write_image, write_json
 from dvrk_cmaes.io.toml_file import read_config
 from dvrk_cmaes.io.video_writer import quiet_ffmpeg
 from dvrk_cmaes.results.folder import read_results
-from dvrk_cmaes.runs.batch import Workers, run_batch
+from dvrk_cmaes.runs.batch import run_batch
 from dvrk_cmaes.runs.frame import ArmInSession
+from dvrk_cmaes.runs.pool import Workers
 from dvrk_cmaes.silhouette.prepare import prepare
 
 FRAMES = 3

@@ -15,8 +15,9 @@ from helpers.batch_sessions import QUICK_CONFIG, comparable, make_session
 
 from dvrk_cmaes import Body, EstimateConfig, InputError, prepare, read_session
 from dvrk_cmaes.estimation.one_tool import FrameMethod
-from dvrk_cmaes.runs.batch import BatchSummary, Workers, finish, run_batch
+from dvrk_cmaes.runs.batch import BatchSummary, finish, run_batch
 from dvrk_cmaes.runs.frame import ArmInSession
+from dvrk_cmaes.runs.pool import Workers
 
 pytestmark = pytest.mark.usefixtures("estimates_shared")
 

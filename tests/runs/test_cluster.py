@@ -7,7 +7,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -20,11 +20,10 @@ from helpers.worker_tasks import squared_unless_three
 
 from dvrk_cmaes import Body, DvrkCmaesError, InputError, read_session
 from dvrk_cmaes.estimation.one_tool import FrameMethod
-from dvrk_cmaes.runs.batch import Workers, run_batch
+from dvrk_cmaes.runs.batch import run_batch
 from dvrk_cmaes.runs.cluster import dask_executor
 from dvrk_cmaes.runs.frame import ArmInSession
-from dvrk_cmaes.runs.pool import WorkerDied, run
-from dvrk_cmaes.runs.pool import Workers as Executors
+from dvrk_cmaes.runs.pool import Executors, WorkerDied, Workers, run
 
 NAMES = [f"{k:04d}" for k in range(8)]
 
@@ -83,7 +82,7 @@ class KillHalfWay:
     def __init__(self, process: subprocess.Popen[bytes]) -> None:
         self._process = process
 
-    def __call__(self, done: int, todo: int, statuses: Mapping[str, int]) -> None:
+    def __call__(self, done: int, todo: int, more: str = "") -> None:
         if done == len(NAMES) // 2:
             self._process.send_signal(signal.SIGKILL)
 
@@ -96,7 +95,7 @@ def test_killed_worker_does_not_change_results(
         done = run_batch(
             arm,
             tmp_path / "cluster",
-            workers=Workers(executor=external, progress=KillHalfWay(cluster.workers[1])),
+            workers=Workers(executor=external, report=KillHalfWay(cluster.workers[1])),
         )
     assert cluster.workers[1].wait() == -signal.SIGKILL
     assert cluster.workers[0].poll() is None

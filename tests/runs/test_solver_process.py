@@ -42,8 +42,8 @@ class FakeProcess:
         self.busy = False
         self.waiting: list[Future[Any]] = []
 
-    def submit(self, function: Callable[..., Any], body: bytes, given: Any, threads: int) -> Future[Any]:
-        future, answer = Future[Any](), self._answer(function, given)
+    def submit(self, _: Any, body: bytes, method: Callable[..., Any], given: Any, threads: int) -> Future[Any]:
+        future, answer = Future[Any](), self._answer(method, given)
         if self.busy:
             self.waiting.append(future)
         else:
@@ -51,7 +51,7 @@ class FakeProcess:
         return future
 
     def _answer(self, function: Callable[..., Any], given: Any) -> Any:
-        if function.__name__ == "_estimate":
+        if function.__name__ == "estimate":
             (keyframe,) = given.keyframes
             self.estimated.append(keyframe.name)
             return {keyframe.name: f"result of {keyframe.name}"}
