@@ -331,8 +331,8 @@ class SessionConfig:
         Whether stretches of a mask that lie off the silhouette of a fit count less the farther off they are, as where a
         shadow beside the shaft was taken for it. Keyframes of a recording that is followed as it comes always do.
     alike_seconds
-        Time in which consecutive frames err alike, s, so that all of them count as one in base, offsets, camera and
-        margin; 0 to count each.
+        Time in which consecutive frames err alike, s, so that all of them count as one in base, offsets, camera, margin
+        and the error of the lag; 0 to count each.
     shared_errors
         Factor on the standard deviations of what the frames tell of camera and lens, because they share errors of masks
         and meshes; at least 2 where this program found the masks in images.

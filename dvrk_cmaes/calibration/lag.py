@@ -22,7 +22,7 @@ import numpy as np
 from dvrk_cmaes.calibration.blocks import Calibration, PredictedBlock
 from dvrk_cmaes.calibration.consensus import Consensus, Mode, choose_modes, find_consensus
 from dvrk_cmaes.calibration.endoscope import Steered
-from dvrk_cmaes.calibration.model import SessionModel
+from dvrk_cmaes.calibration.model import SessionModel, frames_alike
 from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, solve_arms
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Bool, Float64, Indices
@@ -69,19 +69,19 @@ _DISAGREE = 2.0  # mean misfit, of at most 4, from which on the frames agree har
 _NOWHERE = 3.0  # mean misfit from which on most frames disagree, and the best lag is one by chance
 _COARSE = 3  # steps of the search, in each of the far one: the misfit falls over many times as much
 # what a curve shows
-_FREEDOM_OF_A_FRAME = 1.25  # degrees of freedom, of 5 of its pose: frames of a recording share errors
+_FREEDOM = 5.0  # degrees of freedom of a pose that errs independently of the others
 _FLAT = 1.0  # steps of the curve: root mean square of what it allows, from which on it hardly determines a lag
 _OF_A_LAG, _OF_NONE = 0.5, 0.7  # of that, least standard deviation of a lag, and of none
 _UNDETERMINED, _UNKNOWN = 2.0, 3.0  # frames, least and largest standard deviation of a lag that is not determined
 # refinement
-_SHARED_ERRORS = 2.0  # factor on the standard deviation: the frames of a recording share errors of masks and readings
+_LEAST_ALIKE = 4.0  # frames that count as one, however far apart they are: they share errors of masks and readings
 _DIFFERENCE = 0.25  # by which readings are shifted for derivatives, in steps of the search
 _NEAR = 2.0  # steps of the search, by which a refined value is at most from that of the search
 _APART = 1.8  # times the least misfit, at least, between minima that are no flat one
 # decision
 _SIGNIFICANT = 2.0  # standard deviations
 _LEAST_LAG = 0.3  # frames, below which a lag is not corrected
-_LARGEST_STD = 1.0  # frames, above which the lag is not determined
+_LARGEST_STD = 1.5  # frames, above which the lag is not determined
 _AGREE = 3.0  # standard deviations of each lag, within which those of several arms are taken for one
 
 
@@ -112,11 +112,13 @@ class LagCurve(Document):
     """Disagreement of the frames as a function of the lag.
 
     Each of the ``points`` is a lag in a ``unit``, s or frames, and a misfit: the mean of the frames' squared
-    Mahalanobis distances from their consensus by degree of freedom, each at most `INLIER_MISFIT`.
+    Mahalanobis distances from their consensus by degree of freedom, each at most `INLIER_MISFIT`. It shows as much as
+    that of ``frames`` that err independently of each other.
     """
 
     unit: Unit
     points: tuple[tuple[Number, Number], ...]
+    frames: Number = 1.0
 
     @property
     def lags(self) -> Float64:
@@ -128,24 +130,22 @@ class LagCurve(Document):
         """The misfits (L,)."""
         return np.array([misfit for _, misfit in self.points])
 
-    def root_mean_square(self, frames: int, unknown: float, about: float = 0.0) -> float:
+    def root_mean_square(self, unknown: float, about: float = 0.0) -> float:
         """Return the root mean square of how far the lags that the curve allows are from one, in its unit.
 
         Parameters
         ----------
-        frames
-            Number of frames of which the curve is.
         unknown
             Prior standard deviation of the lag, in the unit of the curve. The result is at most the root mean square
             of what the prior allows.
         about
             The lag from which the others are counted.
         """
-        squares = _FREEDOM_OF_A_FRAME * frames * (self.misfit - self.misfit.min())
+        squares = _FREEDOM * self.frames * (self.misfit - self.misfit.min())
         weights = np.exp(-0.5 * (squares + (self.lags / unknown) ** 2))
         return float(min(np.sqrt(weights @ (self.lags - about) ** 2 / weights.sum()), np.hypot(unknown, about)))
 
-    def shows(self, value: float, frames: int) -> bool:
+    def shows(self, value: float) -> bool:
         """Whether frames agree better at a lag than at none, by `_SIGNIFICANT` standard deviations of their scatter.
 
         Lags within one step of none are not distinguished by the curve, and count as shown.
@@ -154,12 +154,10 @@ class LagCurve(Document):
         if about[np.abs(self.lags).argmin()]:
             return True
         gain = np.interp(0.0, self.lags, self.misfit) - self.misfit[about].min(initial=np.inf)
-        return bool(_FREEDOM_OF_A_FRAME * frames * gain > _SIGNIFICANT**2 * self.misfit.min())
+        return bool(_FREEDOM * self.frames * gain > _SIGNIFICANT**2 * self.misfit.min())
 
 
-def lag_taken_out(
-    lag: Lag | None, curve: LagCurve | None, unit: Unit, frames: int, unknown: float
-) -> tuple[float, float] | None:
+def lag_taken_out(lag: Lag | None, curve: LagCurve | None, unit: Unit, unknown: float) -> tuple[float, float] | None:
     """Return the lag that is taken out of readings, and its standard deviation; None if nothing shows one.
 
     Where it is not determined, none is taken out, and the curve of disagreement says how large it may be. Where the
@@ -172,18 +170,16 @@ def lag_taken_out(
         What is found of the lag, and the disagreement of the frames.
     unit
         Unit of the result.
-    frames
-        Number of frames by which it was found.
     unknown
         Prior standard deviation of the lag.
     """
     curve = curve if curve is not None and curve.unit == unit and len(curve.lags) > 1 else None
     found, std = (None, None) if lag is None else lag.known_in(unit)
     if lag is None or found is None:
-        return None if curve is None else (0.0, curve.root_mean_square(frames, unknown))
+        return None if curve is None else (0.0, curve.root_mean_square(unknown))
     value = found if lag.applied else 0.0
     if curve is not None:
-        allowed = curve.root_mean_square(frames, unknown, value)
+        allowed = curve.root_mean_square(unknown, value)
         flat = allowed > _FLAT * float(np.diff(curve.lags).max())
         std = max(std or 0.0, allowed * (_OF_A_LAG if lag.applied else _OF_NONE) if flat else 0.0)
     return value, std or 0.0
@@ -198,6 +194,8 @@ class SessionLag:
     time, as none of postures do; a lag is looked for in such readings only. ``step`` is that of the search, in the unit
     of the series.
 
+    Frames within ``alike_seconds`` err alike, and count as one.
+
     ``lag`` is None where it is not determined, and ``undetermined`` then says why; ``curve`` is the disagreement of the
     frames as a function of the lag, ``nowhere`` says that they agree at none. ``fixed`` says that the lag was given.
     """
@@ -206,6 +204,7 @@ class SessionLag:
     times: Float64
     interpolable: bool = False
     step: float = 1.0
+    alike_seconds: float = 0.0
     lag: Lag | None = None
     undetermined: str = ""
     nowhere: bool = False
@@ -219,6 +218,7 @@ class SessionLag:
         names: Sequence[str],
         outer_std: Float64,
         given: Lag | None = None,
+        alike_seconds: float = 0.0,
     ) -> SessionLag:
         """Return what is known before anything is estimated.
 
@@ -232,6 +232,8 @@ class SessionLag:
             (4,), of the readings of the outer joints.
         given
             The lag that is taken out, and neither searched nor refined.
+        alike_seconds
+            Time in which frames err alike, s.
 
         Raises
         ------
@@ -251,7 +253,7 @@ class SessionLag:
         postures = series.unit == "frames" and series.jumps(OUTER_JOINTS, _ROUGH * outer_std)
         interpolable = not postures and series.is_interpolable(OUTER_JOINTS, _ROUGH * outer_std)
         step = max(min(_STEP[series.unit], series.interval), (high - low) / (_MOST_STEPS - 1))
-        found = cls(series, np.array([series.frames[name] for name in names]), interpolable, step)
+        found = cls(series, np.array([series.frames[name] for name in names]), interpolable, step, alike_seconds)
         if given is not None:
             value = given.in_unit(series.unit)
             lag = Lag.of(value, 0.0, series.unit, series.interval, applied=value != 0)
@@ -314,6 +316,12 @@ class SessionLag:
     # times of the frames
 
     @property
+    def independent(self) -> float:
+        """Number of frames that would show as much as these do, if each erred independently of the others."""
+        alike = frames_alike(self._unit_seconds * self.times, self.alike_seconds)
+        return float(min((1 / alike).sum(), len(alike) / _LEAST_ALIKE))
+
+    @property
     def _unit_seconds(self) -> float:
         """Length of the unit of the series, s; images that are only counted are 1 / 30 s apart."""
         return 1.0 if self._known.unit == "s" else _FRAME_SECONDS
@@ -351,7 +359,7 @@ class SessionLag:
     def with_estimate(self, found: tuple[float, float] | None, *, shown: bool) -> SessionLag:
         """Return a lag that was estimated, to be taken out if it is significant, or why it is not determined.
 
-        ``shown`` is whether the curve shows it, too: otherwise it may come from errors that near frames share.
+        ``shown`` is whether the curve shows it, too: wrong poses of some frames move an estimate beyond its error.
         """
         if found is None:
             text = "the frames' disagreement has no minimum there, or too few frames have readings"
@@ -381,7 +389,7 @@ class SessionLag:
         if not self.interpolable:
             return none
         series = self._known
-        found = lag_taken_out(self.lag, self.curve, series.unit, len(self.times), _UNKNOWN * series.interval)
+        found = lag_taken_out(self.lag, self.curve, series.unit, _UNKNOWN * series.interval)
         step = 0.0 if found is None else found[1]
         if self.lag is None:
             step = max(_UNDETERMINED * series.interval, step)
@@ -414,7 +422,8 @@ class SessionLag:
                 near = max(low, about - _COARSE * step), min(high, about + _COARSE * step)
                 lags, costs = self._costs(model, modes, *near, step)
         best, finite = int(np.argmin(costs)), np.flatnonzero(np.isfinite(costs))
-        curve = LagCurve(unit, tuple(zip(lags[finite].tolist(), costs[finite].tolist(), strict=True)))
+        points = tuple(zip(lags[finite].tolist(), costs[finite].tolist(), strict=True))
+        curve = LagCurve(unit, points, self.independent)
         at_end = min((abs(lags[best] - end) for end in ends), default=np.inf) < _COARSE * step
         nowhere = (at_end or costs[best] > _DISAGREE) if ends else bool(_NOWHERE < costs[best] < np.inf)
         between = [costs[min(k, best) : max(k, best) + 1].max() for k in range(len(costs))]
@@ -439,7 +448,7 @@ class SessionLag:
         if text:
             return found
         refined = found._refined(model, modes, float(lags[best]))
-        return found.with_estimate(refined, shown=refined is not None and curve.shows(refined[0], len(modes)))
+        return found.with_estimate(refined, shown=refined is not None and curve.shows(refined[0]))
 
     def _costs(
         self, model: SessionModel, modes: Sequence[Sequence[Mode]], low: float, high: float, step: float
@@ -463,8 +472,8 @@ class SessionLag:
     ) -> tuple[float, float] | None:
         """Estimate the lag near that of the search with the calibration, by the modes that agree there.
 
-        Each frame counts as one, and its errors as independent of others. None if too few frames have readings around
-        it, or they agree best nowhere near.
+        The standard deviation is that of as many frames as err independently (`independent`). None if too few frames
+        have readings around it, or they agree best nowhere near.
         """
         consensus, near = self._consensus(model, modes, start), _NEAR * self.step
         has = np.flatnonzero(self.has_readings(start - near) & self.has_readings(start + near))
@@ -473,14 +482,15 @@ class SessionLag:
         has = has[np.argsort(self.times[has], kind="stable")]
         own, model = self.subset(has), model.subset(has)
         chosen = choose_modes(own.model_at(model, start), [modes[int(i)] for i in has], consensus.calibration)
-        least = FARTHEST[self._known.unit] / _SHARED_ERRORS
+        alike = len(has) / own.independent
+        least = FARTHEST[self._known.unit] / np.sqrt(alike)
         block = LagBlock(least, partial(own.model_to_compare, model), _DIFFERENCE * self.step)
         begun = consensus.calibration.with_blocks(block, **{LAG: np.array([start])})
         (solution,) = solve_arms([ArmFrames(own.model_to_compare(model, start), FrameFits.of_modes(chosen), begun)])
         place, value = begun.place(LAG), solution.calibration.values[LAG].item()
         if not abs(value - start) < near - _DIFFERENCE * self.step:
             return None
-        alone = _SHARED_ERRORS**2 * np.linalg.inv(solution.information)[place, place]
+        alone = alike * np.linalg.inv(solution.information)[place, place]
         return value, float(np.sqrt(max(alone.item(), solution.covariance[place, place].item())))
 
 
@@ -497,7 +507,7 @@ def in_common(lags: Sequence[SessionLag]) -> list[SessionLag]:
     values, stds = found.T
     weights = stds**-2.0
     mean = float(weights @ values / weights.sum())
-    shown = any(lag.curve is not None and lag.curve.shows(mean, len(lag.times)) for lag in lags)
+    shown = any(lag.curve is not None and lag.curve.shows(mean) for lag in lags)
     shared = [lag.with_estimate((mean, float(weights.sum() ** -0.5)), shown=shown) for lag in lags]
     agree = (np.abs(values - mean) <= _AGREE * stds).all()
     usable = all(lag.lag is not None and lag.has_readings(lag.value).sum() >= _LEAST_AT_LAG for lag in shared)

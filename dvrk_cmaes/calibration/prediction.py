@@ -178,7 +178,7 @@ class FoundLag(NamedTuple):
 def lag_of(calibration: SessionCalibration, unknown: float) -> FoundLag | None:
     """Return the lag that is taken out of the readings, s, as `lag_taken_out`; else it is an error of theirs."""
     lag = calibration.lag
-    found = lag_taken_out(lag, calibration.lag_curve, "s", len(calibration.frames), unknown)
+    found = lag_taken_out(lag, calibration.lag_curve, "s", unknown)
     left = 0.0 if lag is None or lag.applied else abs(lag.seconds or 0.0)
     return None if found is None else FoundLag(found[0], max(found[1], left))
 

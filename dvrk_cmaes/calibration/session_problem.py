@@ -123,7 +123,8 @@ class ArmSession:
         """
         readings, names = [frame.result.readings for frame in frames], setup.instrument.joint_names
         model = SessionModel.of(readings, setup.instrument, setup.config, setup.arm)
-        lag = SessionLag.of(setup.series, [frame.name for frame in frames], model.deviations.outer, setup.lag)
+        read, alike = [frame.name for frame in frames], setup.config.session.alike_seconds
+        lag = SessionLag.of(setup.series, read, model.deviations.outer, setup.lag, alike)
         modes = tuple(Mode.all_of(frame.result, names) for frame in frames)
         change = np.zeros(3) if setup.refine_camera else None
         return cls(setup, tuple(frames), modes, model, lag, rig, change)

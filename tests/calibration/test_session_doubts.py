@@ -12,15 +12,12 @@ from helpers.session_worlds import SMALL, make_frames_in_memory
 
 from dvrk_cmaes import Body, FrameData, SessionCalibration, SessionFrame, TrackResult, calibrate_session
 from dvrk_cmaes.calibration.document import Agreement
-from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, LagCurve
+from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, LagCurve, SessionLag
 from dvrk_cmaes.calibration.session_camera import stated_camera
-from dvrk_cmaes.calibration.session_doubts import (
-    bad_predictions,
-    doubts_of,
-    resting_on,
-)
+from dvrk_cmaes.calibration.session_doubts import bad_predictions, doubts_of, resting_on
 from dvrk_cmaes.camera.fields import WRONG
 from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.doubts import DISAGREES
 from dvrk_cmaes.pose.judge import far_joints
 from dvrk_cmaes.synth.truth import Truth
@@ -169,4 +166,10 @@ def test_joints_far_from_what_is_expected_of_an_image_are_a_doubt(
 
 @pytest.mark.parametrize(("misfits", "shown"), [([0.24, 0.24, 0.24, 0.24], False), ([0.24, 0.24, 0.2, 0.23], True)])
 def test_lag_is_shown_by_frames_that_agree_better_at_it_than_at_none(misfits: list[float], *, shown: bool) -> None:
-    assert LagCurve("frames", tuple(enumerate(misfits))).shows(2.2, 60) == shown
+    assert LagCurve("frames", tuple(enumerate(misfits)), 15.0).shows(2.2) == shown
+
+
+@pytest.mark.parametrize(("seconds", "expected"), [(1 / 30, 4.4), (2.0, 15.0)])
+def test_frames_of_half_a_second_count_as_one_in_a_lag(seconds: float, expected: float) -> None:
+    lag = SessionLag(ReadingSeries("s", {}, {}, {}, seconds), seconds * np.arange(60), True, alike_seconds=0.5)
+    assert lag.independent == pytest.approx(expected, 0.02)
