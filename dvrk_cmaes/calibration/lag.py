@@ -1,9 +1,7 @@
 """The lag of the images behind the readings, which all frames of a session share.
 
 A wrong lag gives a moving arm readings of another moment, so that the frames' poses no longer agree on one
-camera_from_base. A search by the frames' own modes finds where they agree best, and near there it is estimated with
-the base and the offsets, as a block: a change of it changes what is predicted of a frame by the velocity of its
-readings.
+camera_from_base: `lag_search` finds where they agree best. Here is what is known of it, and the readings at any lag.
 
 The lag is no block of the rounds in which frames are fitted again: frames whose prior is the prediction at a lag agree
 with this lag, and estimates by their fits were farther from true ones than those by modes, by up to half a frame. Its
@@ -12,18 +10,15 @@ error counts in all that is stated (`SessionLag.change_of_predictions`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.blocks import Calibration, PredictedBlock
-from dvrk_cmaes.calibration.consensus import Consensus, Mode, choose_modes, find_consensus
+from dvrk_cmaes.calibration.blocks import Calibration
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import SessionModel, frames_alike
-from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, solve_arms
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
@@ -34,14 +29,8 @@ from dvrk_cmaes.joints.lag import Lag, Unit
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.joints.series import ReadingSeries
 
-LAG: Final = "lag"
-"""Name of the block."""
-RANGE: Final = {"frames": (-5.0, 15.0), "s": (-0.25, 0.75)}
-"""Least and largest lag of the search, by unit."""
-FARTHEST: Final = {"frames": 90.0, "s": 3.0}
-"""Largest lag of the search, in either direction, where the frames agree at no lag in `RANGE`."""
-UNLIKELY: Final = 1.5
-"""Ratio to the least misfit, from which on a lag is unlikely."""
+LEAST_AT_LAG: Final = 4
+"""Frames that must have readings at a lag."""
 MOVE: Final = "a recording in which the arm moves quickly would determine it"
 NO_READINGS_AT_LAG: Final = "no readings once the lag is taken out"
 """Why a frame is left out."""
@@ -57,54 +46,18 @@ NO_ORDER: Final = (
 
 # readings
 _FRAME_SECONDS = 1 / 30  # between images that have no times
-_STEP = {"frames": 1.0, "s": _FRAME_SECONDS}  # of the search, at most the time between images
-_MOST_STEPS = 61
-_CABLE_SECONDS = 2.0  # for which the errors of the joints that cables move stay alike
 _ROUGH = 5.0  # standard deviations of a reading that it may change unevenly from row to row
-# search
-_LEAST_FRAMES = 6  # of a session; with fewer, a lag cannot be distinguished from outliers
-_LEAST_AT_LAG, _LEAST_SHARE = 4, 0.5  # frames, and share of them, that must have readings at a lag
-_HYPOTHESIS_FRAMES, _TEST_FRAMES = 12, 60  # of each consensus of the search
-_DISAGREE = 2.0  # mean misfit, of at most 4, from which on the frames agree hardly, and a lag is looked for far away
-_NOWHERE = 3.0  # mean misfit from which on most frames disagree, and the best lag is one by chance
-_COARSE = 3  # steps of the search, in each of the far one: the misfit falls over many times as much
 # what a curve shows
 _FREEDOM = 5.0  # degrees of freedom of a pose that errs independently of the others
 _FLAT = 1.0  # steps of the curve: root mean square of what it allows, from which on it hardly determines a lag
 _OF_A_LAG, _OF_NONE = 0.5, 0.7  # of that, least standard deviation of a lag, and of none
 _UNDETERMINED, _UNKNOWN = 2.0, 3.0  # frames, least and largest standard deviation of a lag that is not determined
-# refinement
 _LEAST_ALIKE = 4.0  # frames that count as one, however far apart they are: they share errors of masks and readings
-_DIFFERENCE = 0.25  # by which readings are shifted for derivatives, in steps of the search
-_NEAR = 2.0  # steps of the search, by which a refined value is at most from that of the search
-_APART = 1.8  # times the least misfit, at least, between minima that are no flat one
 # decision
 _SIGNIFICANT = 2.0  # standard deviations
 _LEAST_LAG = 0.3  # frames, below which a lag is not corrected
 _LARGEST_STD = 1.5  # frames, above which the lag is not determined
 _AGREE = 3.0  # standard deviations of each lag, within which those of several arms are taken for one
-
-
-class LagBlock(PredictedBlock):
-    """A lag (1,), in the unit of the frames' times, by the model of the frames' readings ``at`` it.
-
-    Derivatives are differences of what is predicted a ``step`` before and after.
-    """
-
-    def __init__(self, std: float, at: Callable[[float], SessionModel], step: float) -> None:
-        super().__init__(LAG, np.array([std]))
-        self._at, self._step = at, step
-
-    def change(self, model: SessionModel, calibration: Calibration) -> Float64:
-        """Return the changes of the predictions by the lag."""
-        alone = calibration.alone(without=LAG)
-        return self._at(calibration.values[LAG].item()).predict(alone).minus(model.predict(alone))
-
-    def derivative(self, model: SessionModel, calibration: Calibration) -> Float64:
-        """Return the changes of the predictions by those of the readings."""
-        alone, value = calibration.alone(without=LAG), calibration.values[LAG].item()
-        later, earlier = (self._at(value + by).predict(alone) for by in (self._step, -self._step))
-        return later.minus(earlier)[:, :, None] / (2 * self._step)
 
 
 @dataclass(frozen=True)
@@ -191,10 +144,8 @@ class SessionLag:
 
     ``series`` are all readings, None where the frames have no order; ``times`` (N,) those of the frames' images on its
     clock. ``interpolable`` says whether the readings may be interpolated, because the rows follow each other closely in
-    time, as none of postures do; a lag is looked for in such readings only. ``step`` is that of the search, in the unit
-    of the series.
-
-    Frames within ``alike_seconds`` err alike, and count as one.
+    time, as none of postures do; a lag is looked for in such readings only. Frames within ``alike_seconds`` err
+    alike, and count as one.
 
     ``lag`` is None where it is not determined, and ``undetermined`` then says why; ``curve`` is the disagreement of the
     frames as a function of the lag, ``nowhere`` says that they agree at none. ``fixed`` says that the lag was given.
@@ -203,7 +154,6 @@ class SessionLag:
     series: ReadingSeries | None
     times: Float64
     interpolable: bool = False
-    step: float = 1.0
     alike_seconds: float = 0.0
     lag: Lag | None = None
     undetermined: str = ""
@@ -249,11 +199,9 @@ class SessionLag:
                     "lag: expected readings of numbered frames, or times of images and readings, got neither"
                 )
             return replace(without_order, lag=Lag.of(0.0, 0.0, "frames", 1.0, applied=False), fixed=True)
-        low, high = RANGE[series.unit]
         postures = series.unit == "frames" and series.jumps(OUTER_JOINTS, _ROUGH * outer_std)
         interpolable = not postures and series.is_interpolable(OUTER_JOINTS, _ROUGH * outer_std)
-        step = max(min(_STEP[series.unit], series.interval), (high - low) / (_MOST_STEPS - 1))
-        found = cls(series, np.array([series.frames[name] for name in names]), interpolable, step, alike_seconds)
+        found = cls(series, np.array([series.frames[name] for name in names]), interpolable, alike_seconds)
         if given is not None:
             value = given.in_unit(series.unit)
             lag = Lag.of(value, 0.0, series.unit, series.interval, applied=value != 0)
@@ -267,7 +215,8 @@ class SessionLag:
     # readings at a lag
 
     @property
-    def _known(self) -> ReadingSeries:
+    def readings(self) -> ReadingSeries:
+        """The series of readings that are known to have an order."""
         assert self.series is not None
         return self.series
 
@@ -287,44 +236,28 @@ class SessionLag:
 
     def has_readings(self, value: float) -> Bool:
         """Whether each frame has readings of all outer joints at a lag, (N,)."""
-        return np.asarray(~np.isnan(self._known.at(OUTER_JOINTS, self.read_times(value))).any(axis=1))
+        return np.asarray(~np.isnan(self.readings.at(OUTER_JOINTS, self.read_times(value))).any(axis=1))
 
     def model_at(self, model: SessionModel, value: float, *, smoothed: bool = False) -> SessionModel:
         """Return a model with the readings of the times of the images less a lag, by a spline if ``smoothed``."""
         read, endoscope = self.read_times(value), model.endoscope
-        outer, joints = (self._known.at(names, read, smoothed=smoothed) for names in (OUTER_JOINTS, model.names))
+        outer, joints = (self.readings.at(names, read, smoothed=smoothed) for names in (OUTER_JOINTS, model.names))
         if isinstance(endoscope, Steered):
-            endoscope = endoscope.at(self._known.at(ECM_JOINTS, read))
+            endoscope = endoscope.at(self.readings.at(ECM_JOINTS, read))
         return replace(model, outer=outer, joints=joints, endoscope=endoscope)
-
-    def model_to_compare(self, model: SessionModel, value: float) -> SessionModel:
-        """Return the model of `model_at` by which lags are compared.
-
-        Its readings are smoothed: otherwise a lag between two rows would agree better than one at a row, because it
-        averages the noise of both. The errors of joints that cables move last for
-        seconds, so that frames close to each other count as one for these joints: play in the cables would
-        otherwise be taken for a lag.
-        """
-        count = len(self.times)
-        spacing = float(np.ptp(self.times)) / max(count - 1, 1) * self._unit_seconds
-        factor = float(np.sqrt(np.clip(_CABLE_SECONDS / max(spacing, 1e-9), 1.0, count)))
-        own = model.deviations
-        outer = own.outer * np.where(np.array(OUTER_JOINTS) == "roll", factor, 1.0)
-        wide = replace(own, outer=outer, joints=factor * own.joints)
-        return replace(self.model_at(model, value, smoothed=True), deviations=wide)
 
     # times of the frames
 
     @property
     def independent(self) -> float:
         """Number of frames that would show as much as these do, if each erred independently of the others."""
-        alike = frames_alike(self._unit_seconds * self.times, self.alike_seconds)
+        alike = frames_alike(self.unit_seconds * self.times, self.alike_seconds)
         return float(min((1 / alike).sum(), len(alike) / _LEAST_ALIKE))
 
     @property
-    def _unit_seconds(self) -> float:
+    def unit_seconds(self) -> float:
         """Length of the unit of the series, s; images that are only counted are 1 / 30 s apart."""
-        return 1.0 if self._known.unit == "s" else _FRAME_SECONDS
+        return 1.0 if self.readings.unit == "s" else _FRAME_SECONDS
 
     @property
     def _timed(self) -> bool:
@@ -337,7 +270,7 @@ class SessionLag:
 
     def seconds(self) -> Float64 | None:
         """Return the times (N,), s, at which the arm was read as the images show it; None where they are not known."""
-        return self._unit_seconds * self.read_times(self.value) if self._timed else None
+        return self.unit_seconds * self.read_times(self.value) if self._timed else None
 
     def play(self, names: Sequence[str], readings: Float64, width: Float64) -> Play | None:
         """Return how far C joints stay behind their readings (N, C); None where the times are not known.
@@ -346,7 +279,7 @@ class SessionLag:
         """
         if not self._timed:
             return None
-        at, of_joints, series = self.read_times(self.value), [], self._known
+        at, of_joints, series = self.read_times(self.value), [], self.readings
         for name, column, band in zip(names, readings.T, width, strict=True):
             times, values = series.times.get(name), series.values.get(name)
             if times is None or values is None:
@@ -364,7 +297,7 @@ class SessionLag:
         if found is None:
             text = "the frames' disagreement has no minimum there, or too few frames have readings"
             return replace(self, lag=None, undetermined=text)
-        (value, std), series = found, self._known
+        (value, std), series = found, self.readings
         if std > _LARGEST_STD * series.interval:
             text = f"standard deviation {std / series.interval:.1f} frames; {MOVE}"
             return replace(self, lag=None, undetermined=text)
@@ -388,7 +321,7 @@ class SessionLag:
         none = np.zeros((len(model.outer), 6 + len(model.names)))
         if not self.interpolable:
             return none
-        series = self._known
+        series = self.readings
         found = lag_taken_out(self.lag, self.curve, series.unit, _UNKNOWN * series.interval)
         step = 0.0 if found is None else found[1]
         if self.lag is None:
@@ -397,101 +330,6 @@ class SessionLag:
         later, earlier = (end.predict(calibration) for end in ends)
         change = later.minus(earlier) / 2
         return np.where(np.isnan(change).any(axis=1, keepdims=True), none, change)
-
-    # search by the frames' modes
-
-    def searched(self, model: SessionModel, modes: Sequence[Sequence[Mode]]) -> SessionLag:
-        """Find the lag at which the frames' own modes agree best; arguments as in `find_consensus`.
-
-        Where they agree at no lag of the usual range, the far range is searched too. The lag is not determined by too
-        few frames, nor if the best lag is at the end of the range, or the frames agree at none.
-        """
-        if not self.interpolable or self.fixed:
-            return self
-        if len(modes) < _LEAST_FRAMES:
-            text = f"{len(modes)} frames have a pose and readings, at least {_LEAST_FRAMES} are needed"
-            return replace(self, undetermined=text)
-        unit, step, ends = self._known.unit, self.step, tuple[float, ...]()
-        low, high = RANGE[unit]
-        lags, costs = self._costs(model, modes, low, high, step)
-        if not costs.min() <= _DISAGREE:
-            low, high = -FARTHEST[unit], FARTHEST[unit]
-            coarse, far = self._costs(model, modes, low, high, _COARSE * step)
-            if far.min() < costs.min() / UNLIKELY:
-                about, ends = float(coarse[far.argmin()]), (low, high)
-                near = max(low, about - _COARSE * step), min(high, about + _COARSE * step)
-                lags, costs = self._costs(model, modes, *near, step)
-        best, finite = int(np.argmin(costs)), np.flatnonzero(np.isfinite(costs))
-        points = tuple(zip(lags[finite].tolist(), costs[finite].tolist(), strict=True))
-        curve = LagCurve(unit, points, self.independent)
-        at_end = min((abs(lags[best] - end) for end in ends), default=np.inf) < _COARSE * step
-        nowhere = (at_end or costs[best] > _DISAGREE) if ends else bool(_NOWHERE < costs[best] < np.inf)
-        between = [costs[min(k, best) : max(k, best) + 1].max() for k in range(len(costs))]
-        alike = (costs < UNLIKELY * costs[best]) & (between > _APART * costs[best])
-        text = ""
-        if not len(finite):
-            text = "too few frames have readings at any lag"
-        elif nowhere:
-            text = (
-                f"not determined in the range searched, {low:g} to {high:+g} {unit}: the frames agree at no lag in it; "
-                "it may lie beyond (take a first guess out by import --lag, or subtract it from image times)"
-            )
-        elif not ends and best in finite[[0, -1]]:
-            text = f"the frames agree best at the end of the range that was searched; {MOVE}"
-        elif alike.any():
-            other = lags[np.argmin(np.where(alike, costs, np.inf))]
-            text = (
-                f"the frames agree about as well at {lags[best]:.3g} and {other:.3g} {unit}, as in a motion that "
-                "repeats itself: --lag, if it is known, or a recording of another motion"
-            )
-        found = replace(self, curve=curve, undetermined=text, nowhere=bool(nowhere))
-        if text:
-            return found
-        refined = found._refined(model, modes, float(lags[best]))
-        return found.with_estimate(refined, shown=refined is not None and curve.shows(refined[0]))
-
-    def _costs(
-        self, model: SessionModel, modes: Sequence[Sequence[Mode]], low: float, high: float, step: float
-    ) -> tuple[Float64, Float64]:
-        """Return the lags (L,) of a search and the mean misfits (L,) there; infinite with too few readings."""
-        lags = np.asarray(step * np.arange(round(low / step), round(high / step) + 1), np.float64)
-        agreed = [self._consensus(model, modes, lag) for lag in lags.tolist()]
-        return lags, np.array([np.inf if each is None else each.mean_misfit for each in agreed])
-
-    def _consensus(self, model: SessionModel, modes: Sequence[Sequence[Mode]], value: float) -> Consensus | None:
-        """Return the consensus of the frames' modes at a lag; None if too few frames have readings there."""
-        has = np.flatnonzero(self.has_readings(value))
-        if len(has) < max(_LEAST_AT_LAG, _LEAST_SHARE * len(modes)):
-            return None
-        few = {"hypothesis_frames": _HYPOTHESIS_FRAMES, "test_frames": _TEST_FRAMES}
-        own = [modes[int(i)] for i in has]
-        return find_consensus(self.model_to_compare(model, value).subset(has), own, **few)
-
-    def _refined(
-        self, model: SessionModel, modes: Sequence[Sequence[Mode]], start: float
-    ) -> tuple[float, float] | None:
-        """Estimate the lag near that of the search with the calibration, by the modes that agree there.
-
-        The standard deviation is that of as many frames as err independently (`independent`). None if too few frames
-        have readings around it, or they agree best nowhere near.
-        """
-        consensus, near = self._consensus(model, modes, start), _NEAR * self.step
-        has = np.flatnonzero(self.has_readings(start - near) & self.has_readings(start + near))
-        if consensus is None or len(has) < _LEAST_AT_LAG:
-            return None
-        has = has[np.argsort(self.times[has], kind="stable")]
-        own, model = self.subset(has), model.subset(has)
-        chosen = choose_modes(own.model_at(model, start), [modes[int(i)] for i in has], consensus.calibration)
-        alike = len(has) / own.independent
-        least = FARTHEST[self._known.unit] / np.sqrt(alike)
-        block = LagBlock(least, partial(own.model_to_compare, model), _DIFFERENCE * self.step)
-        begun = consensus.calibration.with_blocks(block, **{LAG: np.array([start])})
-        (solution,) = solve_arms([ArmFrames(own.model_to_compare(model, start), FrameFits.of_modes(chosen), begun)])
-        place, value = begun.place(LAG), solution.calibration.values[LAG].item()
-        if not abs(value - start) < near - _DIFFERENCE * self.step:
-            return None
-        alone = alike * np.linalg.inv(solution.information)[place, place]
-        return value, float(np.sqrt(max(alone.item(), solution.covariance[place, place].item())))
 
 
 def in_common(lags: Sequence[SessionLag]) -> list[SessionLag]:
@@ -510,5 +348,5 @@ def in_common(lags: Sequence[SessionLag]) -> list[SessionLag]:
     shown = any(lag.curve is not None and lag.curve.shows(mean) for lag in lags)
     shared = [lag.with_estimate((mean, float(weights.sum() ** -0.5)), shown=shown) for lag in lags]
     agree = (np.abs(values - mean) <= _AGREE * stds).all()
-    usable = all(lag.lag is not None and lag.has_readings(lag.value).sum() >= _LEAST_AT_LAG for lag in shared)
+    usable = all(lag.lag is not None and lag.has_readings(lag.value).sum() >= LEAST_AT_LAG for lag in shared)
     return shared if agree and usable else list(lags)

@@ -27,6 +27,7 @@ from dvrk_cmaes.calibration.consensus import (
 from dvrk_cmaes.calibration.endoscope import Pieces, Place, Steered
 from dvrk_cmaes.calibration.frame_fit import starts_of
 from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, in_common
+from dvrk_cmaes.calibration.lag_search import find_lag
 from dvrk_cmaes.calibration.linearise import linearise
 from dvrk_cmaes.calibration.masks_and_sizes import InstrumentSizes, estimate_margin
 from dvrk_cmaes.calibration.model import Deviations, SessionModel, ecm_readings, frames_alike, outer_readings
@@ -97,7 +98,7 @@ def started(arms: Arms) -> Arms:
             places = places or steered.places
             arm.setup.progress("finding the camera in the endoscope", len(arm.frames))
             arm = replace(arm, model=replace(arm.model, endoscope=find_hand_eye(arm.model, arm.modes, steered)))
-        found.append(replace(arm, lag=arm.lag.searched(arm.model, arm.modes)))
+        found.append(replace(arm, lag=find_lag(arm.lag, arm.model, arm.modes)))
     common = in_common([arm.lag for arm in found])
     return [replace(arm, lag=lag) for arm, lag in zip(found, common, strict=True)]
 

@@ -1,0 +1,199 @@
+"""Search for the lag at which the frames' own modes agree best, and its estimate there with base and offsets.
+
+The estimate has the lag as a block: a change of it changes what is predicted of a frame by the velocity of its
+readings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from dvrk_cmaes.calibration.blocks import Calibration, PredictedBlock
+from dvrk_cmaes.calibration.consensus import Consensus, Mode, choose_modes, find_consensus
+from dvrk_cmaes.calibration.lag import LEAST_AT_LAG, MOVE, LagCurve, SessionLag
+from dvrk_cmaes.calibration.model import SessionModel
+from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, solve_arms
+from dvrk_cmaes.geometry import Float64, Indices
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+
+LAG: Final = "lag"
+"""Name of the block."""
+RANGE: Final = {"frames": (-5.0, 15.0), "s": (-0.25, 0.75)}
+"""Least and largest lag of the search, by unit."""
+FARTHEST: Final = {"frames": 90.0, "s": 3.0}
+"""Largest lag of the search, in either direction, where the frames agree at no lag in `RANGE`."""
+UNLIKELY: Final = 1.5
+"""Ratio to the least misfit, from which on a lag is unlikely."""
+
+_LONGEST_STEP = {"frames": 1.0, "s": 1 / 30}  # of the search, at most the time between images
+_MOST_STEPS = 61
+_CABLE_SECONDS = 2.0  # for which the errors of the joints that cables move stay alike
+_LEAST_FRAMES = 6  # of a session; with fewer, a lag cannot be distinguished from outliers
+_LEAST_SHARE = 0.5  # of the frames, that must have readings at a lag
+_HYPOTHESIS_FRAMES, _TEST_FRAMES = 12, 60  # of each consensus
+_DISAGREE = 2.0  # mean misfit, of at most 4, from which on the frames agree hardly, and a lag is looked for far away
+_NOWHERE = 3.0  # mean misfit from which on most frames disagree, and the best lag is one by chance
+_COARSE = 3  # steps, in each of the far search: the misfit falls over many times as much
+_APART = 1.8  # times the least misfit, at least, between minima that are no flat one
+_DIFFERENCE = 0.25  # steps, by which readings are shifted for derivatives
+_NEAR = 2.0  # steps, by which an estimate is at most from where the frames agree best
+
+
+class LagBlock(PredictedBlock):
+    """A lag (1,), in the unit of the frames' times, by the model of the frames' readings ``at`` it.
+
+    Derivatives are differences of what is predicted a ``step`` before and after.
+    """
+
+    def __init__(self, std: float, at: Callable[[float], SessionModel], step: float) -> None:
+        super().__init__(LAG, np.array([std]))
+        self._at, self._step = at, step
+
+    def change(self, model: SessionModel, calibration: Calibration) -> Float64:
+        """Return the changes of the predictions by the lag."""
+        alone = calibration.alone(without=LAG)
+        return self._at(calibration.values[LAG].item()).predict(alone).minus(model.predict(alone))
+
+    def derivative(self, model: SessionModel, calibration: Calibration) -> Float64:
+        """Return the changes of the predictions by those of the readings."""
+        alone, value = calibration.alone(without=LAG), calibration.values[LAG].item()
+        later, earlier = (self._at(value + by).predict(alone) for by in (self._step, -self._step))
+        return later.minus(earlier)[:, :, None] / (2 * self._step)
+
+
+def find_lag(known: SessionLag, model: SessionModel, modes: Sequence[Sequence[Mode]]) -> SessionLag:
+    """Find the lag of an arm's frames; as it is ``known``, where it was given or readings are not interpolable.
+
+    Where the frames agree at no lag of the usual range, the far range is searched too. The lag is not determined by too
+    few frames, nor if the best lag is at the end of the range, or the frames agree at none.
+
+    Parameters
+    ----------
+    known
+        The readings of the frames at any lag.
+    model, modes
+        As in `find_consensus`.
+    """
+    if not known.interpolable or known.fixed:
+        return known
+    if len(modes) < _LEAST_FRAMES:
+        text = f"{len(modes)} frames have a pose and readings, at least {_LEAST_FRAMES} are needed"
+        return replace(known, undetermined=text)
+    return _LagSearch(known, model, modes).found()
+
+
+@dataclass(frozen=True, eq=False)
+class _LagSearch:
+    """The search for the lag of N frames; arguments as in `find_lag`."""
+
+    known: SessionLag
+    model: SessionModel
+    modes: Sequence[Sequence[Mode]]
+
+    @cached_property
+    def step(self) -> float:
+        """Time between lags that are compared, in the unit of the readings."""
+        series = self.known.readings
+        low, high = RANGE[series.unit]
+        return max(min(_LONGEST_STEP[series.unit], series.interval), (high - low) / (_MOST_STEPS - 1))
+
+    def found(self) -> SessionLag:
+        """Return what the frames show of the lag."""
+        unit, step, ends = self.known.readings.unit, self.step, tuple[float, ...]()
+        low, high = RANGE[unit]
+        lags, costs = self._costs(low, high, step)
+        if not costs.min() <= _DISAGREE:
+            low, high = -FARTHEST[unit], FARTHEST[unit]
+            coarse, far = self._costs(low, high, _COARSE * step)
+            if far.min() < costs.min() / UNLIKELY:
+                about, ends = float(coarse[far.argmin()]), (low, high)
+                lags, costs = self._costs(max(low, about - _COARSE * step), min(high, about + _COARSE * step), step)
+        best, finite = int(np.argmin(costs)), np.flatnonzero(np.isfinite(costs))
+        points = tuple(zip(lags[finite].tolist(), costs[finite].tolist(), strict=True))
+        curve = LagCurve(unit, points, self.known.independent)
+        at_end = min((abs(lags[best] - end) for end in ends), default=np.inf) < _COARSE * step
+        nowhere = (at_end or costs[best] > _DISAGREE) if ends else bool(_NOWHERE < costs[best] < np.inf)
+        between = [costs[min(k, best) : max(k, best) + 1].max() for k in range(len(costs))]
+        alike = (costs < UNLIKELY * costs[best]) & (between > _APART * costs[best])
+        text = ""
+        if not len(finite):
+            text = "too few frames have readings at any lag"
+        elif nowhere:
+            text = (
+                f"not determined in the range searched, {low:g} to {high:+g} {unit}: the frames agree at no lag in it; "
+                "it may lie beyond (take a first guess out by import --lag, or subtract it from image times)"
+            )
+        elif not ends and best in finite[[0, -1]]:
+            text = f"the frames agree best at the end of the range that was searched; {MOVE}"
+        elif alike.any():
+            other = lags[np.argmin(np.where(alike, costs, np.inf))]
+            text = (
+                f"the frames agree about as well at {lags[best]:.3g} and {other:.3g} {unit}, as in a motion that "
+                "repeats itself: --lag, if it is known, or a recording of another motion"
+            )
+        found = replace(self.known, curve=curve, undetermined=text, nowhere=bool(nowhere))
+        if text:
+            return found
+        estimate = self._estimate(float(lags[best]))
+        return found.with_estimate(estimate, shown=estimate is not None and curve.shows(estimate[0]))
+
+    def _costs(self, low: float, high: float, step: float) -> tuple[Float64, Float64]:
+        """Return the lags (L,) of a search and the mean misfits (L,) there; infinite with too few readings."""
+        lags = np.asarray(step * np.arange(round(low / step), round(high / step) + 1), np.float64)
+        agreed = [self._consensus(lag) for lag in lags.tolist()]
+        return lags, np.array([np.inf if each is None else each.mean_misfit for each in agreed])
+
+    def _consensus(self, value: float) -> Consensus | None:
+        """Return the consensus of the frames' modes at a lag; None if too few frames have readings there."""
+        has = np.flatnonzero(self.known.has_readings(value))
+        if len(has) < max(LEAST_AT_LAG, _LEAST_SHARE * len(self.modes)):
+            return None
+        few = {"hypothesis_frames": _HYPOTHESIS_FRAMES, "test_frames": _TEST_FRAMES}
+        own = [self.modes[int(i)] for i in has]
+        return find_consensus(self.model_at(value).subset(has), own, **few)
+
+    def model_at(self, value: float) -> SessionModel:
+        """Return the model of the readings at a lag, by which lags are compared.
+
+        Its readings are smoothed: otherwise a lag between two rows would agree better than one at a row, because it
+        averages the noise of both. The errors of joints that cables move last for seconds, so that frames close to each
+        other count as one for these joints: play in the cables would otherwise be taken for a lag.
+        """
+        count = len(self.known.times)
+        spacing = float(np.ptp(self.known.times)) / max(count - 1, 1) * self.known.unit_seconds
+        factor = float(np.sqrt(np.clip(_CABLE_SECONDS / max(spacing, 1e-9), 1.0, count)))
+        own = self.model.deviations
+        outer = own.outer * np.where(np.array(OUTER_JOINTS) == "roll", factor, 1.0)
+        wide = replace(own, outer=outer, joints=factor * own.joints)
+        return replace(self.known.model_at(self.model, value, smoothed=True), deviations=wide)
+
+    def _subset(self, index: Indices) -> _LagSearch:
+        """Return the search with the frames at some indices."""
+        return _LagSearch(self.known.subset(index), self.model.subset(index), [self.modes[int(i)] for i in index])
+
+    def _estimate(self, start: float) -> tuple[float, float] | None:
+        """Estimate the lag near that of the search with the calibration, by the modes that agree there.
+
+        The standard deviation is that of as many frames as err independently. None if too few frames have readings
+        around it, or they agree best nowhere near.
+        """
+        consensus, near, known = self._consensus(start), _NEAR * self.step, self.known
+        has = np.flatnonzero(known.has_readings(start - near) & known.has_readings(start + near))
+        if consensus is None or len(has) < LEAST_AT_LAG:
+            return None
+        own = self._subset(has[np.argsort(known.times[has], kind="stable")])
+        chosen = choose_modes(own.known.model_at(own.model, start), own.modes, consensus.calibration)
+        alike = len(has) / own.known.independent
+        block = LagBlock(FARTHEST[known.readings.unit] / np.sqrt(alike), own.model_at, _DIFFERENCE * self.step)
+        begun = consensus.calibration.with_blocks(block, **{LAG: np.array([start])})
+        (solution,) = solve_arms([ArmFrames(own.model_at(start), FrameFits.of_modes(chosen), begun)])
+        place, value = begun.place(LAG), solution.calibration.values[LAG].item()
+        if not abs(value - start) < near - _DIFFERENCE * self.step:
+            return None
+        alone = alike * np.linalg.inv(solution.information)[place, place]
+        return value, float(np.sqrt(max(alone.item(), solution.covariance[place, place].item())))
