@@ -212,3 +212,16 @@ def project_cylinder(point: Float64, direction: Float64, radius: float) -> Float
         first = radius * (point - direction * k) / np.sqrt(square)
     second = np.cross(direction, point)
     return np.stack([first + second, first - second], axis=-2)
+
+
+def substituted(pivots: Float64, sides: Float64, coupling: Float64) -> tuple[Float64, Float64]:
+    """Solve a block-tridiagonal system whose frames `_kernel.eliminate_chain` has eliminated, for columns (N, M, C).
+
+    Also returns the diagonal blocks (N, M, M) of the inverse.
+    """
+    solution, blocks = pivots @ sides, pivots.copy()
+    for k in range(len(pivots) - 2, -1, -1):
+        gain = pivots[k] @ coupling[k]
+        solution[k] -= gain @ solution[k + 1]
+        blocks[k] += gain @ blocks[k + 1] @ gain.T
+    return solution, blocks

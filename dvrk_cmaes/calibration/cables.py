@@ -29,13 +29,7 @@ from dvrk_cmaes.calibration.solve import FrameFits, Solved
 from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.io.encode import Document, rounded, rounded_array
 from dvrk_cmaes.io.typed_document import Number, Texts, refused
-from dvrk_cmaes.joints.cable_inference import (
-    Assumed,
-    Observations,
-    leave_one_out,
-    log_likelihood,
-    run_filters,
-)
+from dvrk_cmaes.joints.cable_inference import Assumed, Inference, Observations, log_likelihood
 from dvrk_cmaes.joints.cable_prior import NARROW, CablePrior, Play, cable_prior, features
 
 Part = Literal["coupling", "play", "wander"]
@@ -219,12 +213,12 @@ def _fit(session: CableSession, prior: CablePrior, parts: tuple[Part, ...]) -> C
     std = np.concatenate([session.offset_std, prior.spread[active]])
     usual, seconds = 1.0 if "wander" in parts else 0.0, prior.model.seconds
     trials = [Assumed(mean, std, usual * prior.model.wander, seconds, noise * session.noise) for noise in _NOISES]
-    assumed, found = max(zip(trials, run_filters(given, trials), strict=True), key=lambda one: one[1].log_likelihood)
+    assumed, found = max(((one, Inference(given, one)) for one in trials), key=lambda own: own[1].log_likelihood)
     coefficients, deviations = np.zeros(active.shape), np.zeros(active.shape)
     coefficients[active], deviations[active] = found.mean[count:], np.sqrt(np.diag(found.covariance)[count:])
     correction, noise = Correction.none(len(session.readings), count - 1), assumed.noise
     if parts:
-        means, covariances = leave_one_out(found)
+        means, covariances = found.left_out
         widening = _widening(given, means, covariances + np.diag(noise**2))
         back = np.argsort(session.order)
         values = (means - found.mean[:count])[back]
@@ -244,7 +238,7 @@ def _observations(session: CableSession, active: Bool) -> Observations:
     terms[:, np.arange(count), np.arange(count)] = 1.0
     for k, (joint, feature) in enumerate(own):
         terms[:, joint, count + k] = every[:, joint, feature]
-    times = np.zeros(frames) if session.times is None else session.times
+    times = np.arange(float(frames)) if session.times is None else session.times
     order = session.order
     return Observations(times[order], terms[order], session.information[order], session.vector[order])
 

@@ -26,7 +26,7 @@ from dvrk_cmaes.calibration.solve import robust_weights
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN
-from dvrk_cmaes.geometry import Float64, Posed, inverse
+from dvrk_cmaes.geometry import Float64, Posed, inverse, substituted
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.doubts import FOLLOWED, pose_lost, reasons
 from dvrk_cmaes.pose.expected_error import covariance_by_camera, expected_error, locate_tips, tip_probability
@@ -112,23 +112,10 @@ def smoothed_deviations(
     if only_last:
         pivots, found = pivots[-1:], pivots[-1:] @ sides[-1:]
     else:
-        found, pivots = _substituted(pivots, sides, coupling)
+        found, pivots = substituted(pivots, sides, coupling)
     found = both @ found
     moves = np.pad(jacobian, ((0, 0), (0, 0), (0, 1)))[-len(found) :]
     return found[:, :, 0], both @ pivots @ both.T, moves + found[:, :, 1:]
-
-
-def _substituted(pivots: Float64, sides: Float64, coupling: Float64) -> tuple[Float64, Float64]:
-    """Solve a system whose frames were eliminated, for columns (N, M, C).
-
-    Also returns the diagonal blocks (N, M, M) of the inverse.
-    """
-    solution, blocks = pivots @ sides, pivots.copy()
-    for k in range(len(pivots) - 2, -1, -1):
-        gain = pivots[k] @ coupling[k]
-        solution[k] -= gain @ solution[k + 1]
-        blocks[k] += gain @ blocks[k + 1] @ gain.T
-    return solution, blocks
 
 
 @dataclass(frozen=True, eq=False)
