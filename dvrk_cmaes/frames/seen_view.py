@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -68,7 +69,7 @@ class SeenView(View):
         """Whether some of the instrument is seen where pixels count."""
         return bool((self.mask if self.ignore is None else self.mask & ~self.ignore).any())
 
-    def without(self, pixels: Bool) -> SeenView:
+    def without(self, pixels: Bool) -> Self:
         """Return the view in which some pixels (H, W) do not count either."""
         return replace(self, ignore=pixels if self.ignore is None else self.ignore | pixels)
 
@@ -146,7 +147,12 @@ def _by_view(name: str, value: object, rig: Rig) -> Mapping[str, object]:
         if len(rig.views) == 1:
             return {rig.names[0]: value}
         raise InputError(f"{name}: expected one by view ({', '.join(rig.names)}), got one array")
+    check_views(name, value, rig)
+    return {key: each for key, each in value.items() if each is not None}
+
+
+def check_views(name: str, value: Mapping[str, object], rig: Rig) -> None:
+    """Raise an InputError for an argument by view that has one which the rig has not."""
     for key in value:
         if key not in rig.names:
             raise InputError(f"{name}: expected views {', '.join(nearest_first(str(key), rig.names))}, got {key!r}")
-    return {key: each for key, each in value.items() if each is not None}

@@ -15,7 +15,7 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.prediction import WRIST_ERROR, FoundLag, Prediction, endoscope_in
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.geometry import Float64, Posed
+from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.pose.doubts import (
@@ -31,7 +31,7 @@ from dvrk_cmaes.results.tracked import TrackResult, without_pose
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.frame_fits import MaskedFit, fit_seen
 from dvrk_cmaes.track.reading_buffer import ReadingAt
-from dvrk_cmaes.track.view_segmenter import Mask, Seen, ViewSegmenter
+from dvrk_cmaes.track.view_segmenter import Seen, ViewSegmenter
 from dvrk_cmaes.track.window import Found, Judged, Window, WindowImage
 
 
@@ -83,7 +83,7 @@ class Follower:
     ) -> None:
         self.calibration, self.lag = calibration, lag
         self.explained, self.outliers, self.unsupported = False, 0, 0
-        self.masks: Mapping[str, Mask] = {}
+        self.masks: Mapping[str, Bool] = {}
         self._began, self._seconds = np.inf, 0.0  # s, time of the first image, and since then
         self._given, self._uncertain = given, uncertain
         self._views = calibration.corrected_views(given.rig.views)
@@ -146,7 +146,7 @@ class Follower:
         reading: ReadingAt,
         seen: Seen,
         *,
-        shows_well: Callable[[Mapping[str, Mask]], bool] = lambda masks: True,
+        shows_well: Callable[[Mapping[str, Bool]], bool] = lambda masks: True,
     ) -> TrackResult:
         """Fit the image of a later time, s, whose readings, less the lag, are ``reading``.
 
@@ -204,14 +204,14 @@ class Follower:
         if not seen.clear:
             return None
         shown = self.calibration.corrected_views(segmenter.views(seen))
-        colours = None if segmenter.given(seen) else segmenter.colours
+        colours = None if seen.masks else segmenter.colours
         expected, masks = Expected.of(at, spread), self.calibration.masks
         return fit_seen(shown, given.body, given.config, expected, before, masks, colours, self._lengths)
 
     def _judged(self, fitted: MaskedFit | None, found: Found, image: WindowImage, seen: Seen) -> Judged:
         """Judge the pose of an image by how it explains the masks that were given or found."""
         if fitted is None:
-            lost = seen.problem is None or (seen.main.mask is not None and not seen.any_same)
+            lost = seen.problem is None or (seen.main.given and not seen.any_same)
             doubts = reasons(pose_lost(seen.source, None)) if seen.problem is None else [seen.problem]
             return Judged("lost" if lost else "doubtful", doubts, None)
         doubts = self._window.doubts(fitted, found, image, seen.source)

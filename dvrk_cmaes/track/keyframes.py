@@ -16,6 +16,7 @@ import numpy as np
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import ecm_readings
+from dvrk_cmaes.frames.seen_view import PackedMask
 from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.names import ECM_JOINTS
@@ -199,7 +200,7 @@ class Keyframes:
         """
         if reading.still or (reading.sparse is not None and readings_too_sparse(reading.sparse) is not None):
             return
-        masks: Mapping[str, Bool] = self._given.segmenter.given(seen)
+        masks: Mapping[str, Bool] = seen.masks
         if not masks and following is not None and following.explained:
             masks = following.masks
         if not masks:
@@ -222,8 +223,7 @@ class Keyframes:
         if len(self) >= MOST_KEYFRAMES and not self._drops_one(apart):
             return
         rates = dict(zip(self._names, [*reading.outer_rate.tolist(), *reading.joint_rate.tolist()], strict=False))
-        both = masks, self._given.segmenter.ignored(seen)
-        shown, hidden = ({name: np.packbits(of_view) for name, of_view in own.items()} for own in both)
+        shown, hidden = ({name: PackedMask.of(each) for name, each in own.items()} for own in (masks, seen.ignored))
         self._kept.append(Keyframe(time, shown, hidden, readings, rates))
         self._places = np.vstack([self._places, place])
         self._readings.near = [keyframe.time for keyframe in self._kept]

@@ -7,9 +7,7 @@ images tells the base.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from copy import deepcopy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -36,7 +34,7 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackResult, without_pose
 from dvrk_cmaes.track.follower import Followed, Follower
 from dvrk_cmaes.track.reading_buffer import ReadingAt
-from dvrk_cmaes.track.view_segmenter import Mask, Seen
+from dvrk_cmaes.track.view_segmenter import Seen
 
 _MOST_IMAGES = 90  # that come during a search, after which it is given up
 _FIRST_WAIT, _MORE_WAIT = 3, 30  # images without support until the first search, and most between two of them
@@ -143,7 +141,7 @@ class UnknownBase:
 
     def _begin_search(self, image: _Image, calibration: SessionCalibration | None) -> None:
         """Begin to search an image."""
-        kept, given = replace(image, seen=deepcopy(image.seen)), self.given
+        kept, given = replace(image, seen=image.seen.copied()), self.given
         if self.background:
             given = replace(given, config=replace(given.config, threads=1))
         executor = ThreadPoolExecutor(1)
@@ -161,7 +159,7 @@ class UnknownBase:
             return images
         began = self._images[0]
         if image.time > began.time:
-            self._images.append(replace(image, seen=deepcopy(image.seen)))
+            self._images.append(replace(image, seen=image.seen.copied()))
         if not self._found.done():
             self._found = None if len(self._images) > _MOST_IMAGES else self._found
             return images
@@ -211,14 +209,12 @@ def _solved(
 ) -> Result | None:
     """Solve an image by itself; None if nothing is found in it, or its masks are nothing but instrument."""
     readings = replace(image.reading, ecm=None).by_name(given.instrument.joint_names)
-    masks: Mapping[str, Mask] = given.segmenter.first_masks(image.seen, guesses=first)
+    masks = given.segmenter.first_masks(image.seen, guesses=first)
     if not masks:
         return None
     try:
-        ignored = given.segmenter.ignored(image.seen)
-        return estimate(
-            masks, given.rig, readings, given.body, ignore=ignored, session=calibration, config=given.config
-        )
+        ignore, config = image.seen.ignored, given.config
+        return estimate(masks, given.rig, readings, given.body, ignore=ignore, session=calibration, config=config)
     except InputError:
         return None
 
