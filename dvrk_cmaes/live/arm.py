@@ -112,13 +112,7 @@ class LiveArm:
         state, old = self._tracker.state, age()
         doubts = reasons(image_old(old, OLD))
         self.published += self._outputs.publish(
-            frame.time,
-            result,
-            age=old,
-            doubts=doubts,
-            silent=silent,
-            image=image,
-            calibration=state,
+            frame.time, result, age=old, doubts=doubts, silent=silent, image=image, calibration=state
         )
         self.poses += result.camera_from_root is not None and result.status != "lost"
         self.ok += result.status == "ok" and not doubts

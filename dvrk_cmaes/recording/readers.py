@@ -39,12 +39,7 @@ READERS: Final = (
 )
 """The first that knows a path opens it."""
 
-_OPTIONS: Final = {
-    "arms": "--arm",
-    "both": "--side both",
-    "start": "--video-start",
-    "posed": "--pose-of alone",
-}
+_OPTIONS: Final = {"arms": "--arm", "both": "--side both", "start": "--video-start", "posed": "--pose-of alone"}
 """How fields of `Asked` are asked for whose options have another name."""
 
 

@@ -29,7 +29,7 @@ from dvrk_cmaes.pose.doubts import (
 from dvrk_cmaes.pose.terms.tips_term import Expected
 from dvrk_cmaes.results.tracked import TrackResult, without_pose
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.frame_fits import MaskedFit, fit_seen
+from dvrk_cmaes.track.frame_fits import ImageFitter, MaskedFit
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.view_segmenter import Seen, ViewSegmenter
 from dvrk_cmaes.track.window import Found, Judged, Window, WindowImage
@@ -205,8 +205,8 @@ class Follower:
             return None
         shown = self.calibration.corrected_views(segmenter.views(seen))
         colours = None if seen.masks else segmenter.colours
-        expected, masks = Expected.of(at, spread), self.calibration.masks
-        return fit_seen(shown, given.body, given.config, expected, before, masks, colours, self._lengths)
+        fitter = ImageFitter(given.body, given.config, self.calibration.masks, colours, self._lengths)
+        return fitter.fit(shown, Expected.of(at, spread), before)
 
     def _judged(self, fitted: MaskedFit | None, found: Found, image: WindowImage, seen: Seen) -> Judged:
         """Judge the pose of an image by how it explains the masks that were given or found."""

@@ -76,86 +76,63 @@ StoredFit = tuple[tuple[StoredView, ...], MaskedFit]
 """The views of a frame, packed for other processes, and their fit, which has none."""
 
 
-def fit_seen(
-    seen: Sequence[SeenView],
-    body: Body,
-    config: EstimateConfig,
-    expected: Expected,
-    before: Float64 | None,
-    masks: SessionMasks | None,
-    colours: Mapping[str, ColourModel] | None,
-    lengths: Mapping[str, float] | None = None,
-) -> MaskedFit | None:
-    """Fit the views of an image as `fit_near`, with ``colours`` of the views by masks that are found.
+@dataclass(frozen=True, eq=False)
+class ImageFitter:
+    """Fits images near what is expected of them: with an instrument, all settings, and a calibration's ``masks``.
 
-    They are found about where the instrument is expected, and again about the fit where that lies elsewhere. None if
-    the masks show nothing.
+    ``masks`` states the margin that is taken off the masks. With ``colours`` of the views, by name, masks are found in
+    the images of views that have none. ``lengths``, correlation lengths, px, of the contours of images before, by view,
+    are given while images come: the fit is then found in few drawings.
     """
-    at = expected.mean if before is None else expected.mean.moved(before)
-    fitted: MaskedFit | None = None
-    last = list[Bool]()
-    running = lengths is not None
-    near = running and before is not None
-    for k in range(1 if near else _ROUNDS):
-        masked, unsupported = tuple(seen), 0.0
-        if colours is not None:
-            drawn = [silhouette_of(at, view, body) for view in seen]
-            if k and min(overlap_of(*pair) for pair in zip(last, drawn, strict=True)) > _SAME:
+
+    body: Body
+    config: EstimateConfig
+    masks: SessionMasks | None = None
+    colours: Mapping[str, ColourModel] | None = None
+    lengths: Mapping[str, float] | None = None
+
+    def fit(self, seen: Sequence[SeenView], expected: Expected, before: Float64 | None) -> MaskedFit | None:
+        """Fit the views of an image; None if their masks show nothing.
+
+        ``before`` (D,) is the deviation of the image before from its prediction, None without one. Masks are found
+        about where the instrument is expected, and again about the fit where that lies elsewhere.
+        """
+        at = expected.mean if before is None else expected.mean.moved(before)
+        fitted: MaskedFit | None = None
+        last = list[Bool]()
+        near = self.lengths is not None and before is not None
+        for k in range(1 if near else _ROUNDS):
+            masked, unsupported = tuple(seen), 0.0
+            if self.colours is not None:
+                drawn = [silhouette_of(at, view, self.body) for view in seen]
+                if k and min(overlap_of(*pair) for pair in zip(last, drawn, strict=True)) > _SAME:
+                    break
+                spread, last = SPREAD_OF_FIT if k or near else _spread(expected, seen[0].camera), drawn
+                masked, unsupported = _masked(seen, drawn, self.colours, spread, running=self.lengths is not None)
+            shown = shown_views(masked)
+            if max((int(np.count_nonzero(view.mask)) for view in shown), default=0) < _LEAST_SHOWN:
+                return None
+            views = tuple(FrameView.of(view, self.body, view.ignore, features=False) for view in shown)
+            fit, own = self._fit_near(views, expected, before)
+            at = fit.at
+            fitted = MaskedFit(views, fit, own, {view.name: view.mask for view in masked if view.given}, unsupported)
+            if self.colours is None:
                 break
-            spread, last = SPREAD_OF_FIT if k or near else _spread(expected, seen[0].camera), drawn
-            masked, unsupported = _masked(seen, drawn, colours, spread, running=running)
-        views = views_that_show(masked, body)
-        if not views:
-            return None
-        fit, own = fit_near(views, config, expected, before, masks, lengths)
-        at = fit.at
-        shown = {view.name: view.mask for view in masked if view.given}
-        fitted = MaskedFit(tuple(views), fit, own, shown, unsupported)
-        if colours is None:
-            break
-    return fitted
+        return fitted
 
-
-def views_that_show(seen: Sequence[SeenView], body: Body) -> list[FrameView]:
-    """Return the views whose masks show the instrument, with evidence and renderer; none where they show too little."""
-    shown = shown_views(seen)
-    if max((int(np.count_nonzero(view.mask)) for view in shown), default=0) < _LEAST_SHOWN:
-        return []
-    return [FrameView.of(view, body, view.ignore, features=False) for view in shown]
-
-
-def fit_near(
-    views: Sequence[FrameView],
-    config: EstimateConfig,
-    expected: Expected,
-    before: Float64 | None,
-    masks: SessionMasks | None,
-    lengths: Mapping[str, float] | None = None,
-) -> tuple[FrameFit, OwnEstimate]:
-    """Fit a frame near what is expected of it; returns the fit, and what its outlines are measured by.
-
-    Parameters
-    ----------
-    views, config, expected
-        As in `fit_frame`.
-    before : (D,)
-        Deviation of the frame before from its prediction; None without one.
-    masks
-        States the margin that is taken off the masks.
-    lengths
-        Correlation lengths, px, of the contours of images before, by view. They are given while images come: the fit is
-        then found in few drawings.
-    """
-    starts, names = [expected.mean], [view.name for view in views]
-    if before is not None:
-        apart = float(np.sqrt(before @ expected.information @ before / len(before)))
-        starts = [expected.mean.moved(before), *(starts if apart > _ANOTHER_START else ())]
-    margin, preset = 0.0 if masks is None else masks.taken_off, FOLLOWED
-    if lengths is None:
-        return fit_frame(views, config, expected, starts, margin=margin, preset=preset)
-    preset = FROM_PREDICTION if before is None else WHILE_RUNNING if len(starts) == 1 else FROM_TWO_STARTS
-    of_views = [lengths.get(name, config.refine.outline.correlation) for name in names]
-    return fit_frame(views, config, expected, starts, margin=margin, lengths=of_views, preset=preset)
+    def _fit_near(
+        self, views: Sequence[FrameView], expected: Expected, before: Float64 | None
+    ) -> tuple[FrameFit, OwnEstimate]:
+        """Fit views with masks; returns the fit, and what its outlines are measured by."""
+        starts, lengths, preset = [expected.mean], list[float](), FOLLOWED
+        if before is not None:
+            apart = float(np.sqrt(before @ expected.information @ before / len(before)))
+            starts = [expected.mean.moved(before), *(starts if apart > _ANOTHER_START else ())]
+        if self.lengths is not None:
+            preset = FROM_PREDICTION if before is None else WHILE_RUNNING if len(starts) == 1 else FROM_TWO_STARTS
+            lengths = [self.lengths.get(view.name, self.config.refine.outline.correlation) for view in views]
+        margin = 0.0 if self.masks is None else self.masks.taken_off
+        return fit_frame(views, self.config, expected, starts, margin=margin, lengths=lengths, preset=preset)
 
 
 _LONGEST = 640  # px, longer side of the images in which masks are found while they come
@@ -167,9 +144,7 @@ _PREDICTED = 0.6  # intersection over union of a mask and a predicted silhouette
 
 
 def learn_task(
-    body: Body,
-    config: EstimateConfig,
-    task: tuple[Callable[[], FrameData | None], Posed, Mapping[str, Bool]],
+    body: Body, config: EstimateConfig, task: tuple[Callable[[], FrameData | None], Posed, Mapping[str, Bool]]
 ) -> dict[str, ColourModel]:
     """Learn the colours about masks that overlap the silhouette of a predicted pose well enough, by name of the view.
 
@@ -198,17 +173,16 @@ def fit_block(
 ) -> list[StoredFit | None]:
     """Fit consecutive frames, each from its prediction and from that changed as the frame before was.
 
-    ``masks`` has the margin that is taken off the masks. With ``colours`` of the views, by name, masks are
-    found in the images of views that have none. None stands for a frame whose masks or images show nothing of the
+    ``masks`` and ``colours`` are as of `ImageFitter`. None stands for a frame whose masks or images show nothing of the
     instrument where it is expected.
     """
-    found: list[StoredFit | None] = []
+    fitter, found = ImageFitter(body, config, masks, colours), list[StoredFit | None]()
     before: Float64 | None = None
     for read, expected in frames:
         started, data, fitted = time.perf_counter(), read(), None
         if data is not None:
             data = data if colours is None else with_outside(data)
-            fitted = fit_seen(data.views, body, config, expected, before, masks, colours)
+            fitted = fitter.fit(data.views, expected, before)
         before = None
         if fitted is None:
             found.append(None)

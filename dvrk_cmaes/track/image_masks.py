@@ -60,11 +60,6 @@ class ColourModel:
     inside: Float32
     outside: Float32
 
-    @classmethod
-    def learned(cls, inside: NDArray[np.int32], outside: NDArray[np.int32]) -> ColourModel:
-        """Return the model of the bins that were seen on the instrument and beside it."""
-        return cls(_histogram(inside), _histogram(outside))
-
     @cached_property
     def log_odds(self) -> Float32:
         """The logarithm (B,) of the ratio of the probabilities."""
@@ -109,14 +104,13 @@ def learned_colours(image: Image, silhouette: Bool, ignore: Bool | None) -> Colo
     inside, outside = (counts & (side > _BLURRED) & (side < _AROUND) for side in (-distance, distance))
     if min(int(inside.sum()), int(outside.sum())) < _LEAST_PIXELS:
         return None
-    return ColourModel.learned(bins[inside], bins[outside])
+    return ColourModel(_histogram(bins[inside]), _histogram(bins[outside]))
 
 
 def pooled_colours(models: Sequence[ColourModel]) -> ColourModel:
     """Return the model of the mean histograms of at least one model."""
-    inside = np.stack([model.inside for model in models]).mean(axis=0)
-    outside = np.stack([model.outside for model in models]).mean(axis=0)
-    return ColourModel(np.asarray(inside, np.float32), np.asarray(outside, np.float32))
+    both = [model.inside for model in models], [model.outside for model in models]
+    return ColourModel(*(np.asarray(np.mean(each, axis=0), np.float32) for each in both))
 
 
 def mask_around(
@@ -164,15 +158,7 @@ def mask_around(
     prompts = no_prompts(small.shape)
     if outside is not None:
         prompts = prompts.with_outside(resized(outside, size))
-    found = around.mask_around(
-        small,
-        expected,
-        free,
-        colours=odds,
-        local=False,
-        prompts=prompts,
-        passes=passes,
-    )
+    found = around.mask_around(small, expected, free, colours=odds, local=False, prompts=prompts, passes=passes)
     if found is None:
         return None
     unsupported = float((found.by_colour[found.sure] < _LEAST_ODDS).mean()) if found.sure.any() else 0.0

@@ -6,7 +6,6 @@ import math
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import reduce
 from itertools import pairwise
 from typing import Final
 
@@ -146,7 +145,7 @@ class ReadingBuffer:
         outer = len(OUTER_JOINTS)
         row, rate = np.full(len(self._names), np.nan), np.zeros(len(self._names))
         recent = self._recent()
-        for series in _read_together({name: recent[name] for name in self._names if name in recent}):
+        for series in _read_together(recent):
             columns = [self._names.index(name) for name in series.joints]
             spacing = _usual_spacing(series.times)
             rate[columns] = of_series = _rate(series, time, max(_RATE_HALF_WIDTH, _RATE_SPACINGS * spacing))
@@ -154,11 +153,10 @@ class ReadingBuffer:
             row[columns] = series.at(np.array([time]), weighted_mean, of_series, apart=gap, beyond=gap)[0]
         still, sparse = False, None
         if recent.keys() >= set(OUTER_JOINTS):
-            of_outer = _at_common_times([recent[name] for name in OUTER_JOINTS])
-            seconds = max(self._still, _STILL_SPACINGS * _usual_spacing(of_outer.times))
-            still = _is_still(of_outer, time, seconds)
-            known = not np.isnan(row[:outer]).any()
-            sparse = Sparseness.of(np.asarray(of_outer.times), of_outer.values, time) if known else None
+            times = recent[OUTER_JOINTS[0]][0]
+            values = np.column_stack([np.interp(times, *recent[name]) for name in OUTER_JOINTS])
+            still = _is_still(times, values, time, max(self._still, _STILL_SPACINGS * _usual_spacing(times)))
+            sparse = None if np.isnan(row[:outer]).any() else Sparseness.of(times, values, time)
         ecm = None
         if self._read.keys() >= set(ECM_JOINTS):
             ecm = np.array([np.interp(time, *self._read[name]) for name in ECM_JOINTS])
@@ -168,8 +166,8 @@ class ReadingBuffer:
         """Return times and readings of the last seconds by joint, of those that have any."""
         read = {name: self._read[name] for name in self._names if name in self._read}
         since = max((times[-1] for times, _ in read.values() if times), default=0.0) - _KEPT
-        first = {name: bisect_left(times, since) for name, (times, _) in read.items()}
-        return {name: (np.array(t[first[name] :]), np.array(v[first[name] :])) for name, (t, v) in read.items()}
+        first = {name: bisect_left(times, since) for name, (times, _) in read.items() if times and times[-1] >= since}
+        return {name: (np.array(read[name][0][k:]), np.array(read[name][1][k:])) for name, k in first.items()}
 
 
 def _read_together(recent: Mapping[str, tuple[Float64, Float64]]) -> Iterator[TimedReadings]:
@@ -179,14 +177,6 @@ def _read_together(recent: Mapping[str, tuple[Float64, Float64]]) -> Iterator[Ti
         groups.setdefault(times.tobytes(), []).append(name)
     for names in groups.values():
         yield TimedReadings(tuple(names), recent[names[0]][0], np.column_stack([recent[name][1] for name in names]))
-
-
-def _at_common_times(read: Sequence[tuple[Float64, Float64]]) -> TimedReadings:
-    """Return the readings of the outer joints at the times at which all of them were read."""
-    times = read[0][0]
-    if any(not np.array_equal(own, times) for own, _ in read[1:]):
-        times = reduce(np.intersect1d, [own for own, _ in read])
-    return TimedReadings(OUTER_JOINTS, times, np.column_stack([of[np.isin(own, times)] for own, of in read]))
 
 
 def _usual_spacing(stamps: Times) -> float:
@@ -210,15 +200,13 @@ def _rate(series: TimedReadings, time: float, half_width: float) -> Float64:
     return np.asarray(np.where(np.isnan(rate), 0.0, rate))
 
 
-def _is_still(series: TimedReadings, time: float, seconds: float) -> bool:
+def _is_still(times: Float64, values: Float64, time: float, seconds: float) -> bool:
     """Whether the outer joints' readings up to a time have not changed in the last digit for some seconds."""
-    if not len(series.times):
+    last = min(int(times.searchsorted(time)), len(times) - 1)
+    first = int(times.searchsorted(times[last] - seconds))
+    if last - first < 3 or times[last] - times[first] < 0.8 * seconds:
         return False
-    last = min(int(series.times.searchsorted(time)), len(series.times) - 1)
-    first = int(series.times.searchsorted(series.times[last] - seconds))
-    if last - first < 3 or series.times[last] - series.times[first] < 0.8 * seconds:
-        return False
-    return bool(np.ptp(series.values[first : last + 1], axis=0).max() == 0)
+    return bool(np.ptp(values[first : last + 1], axis=0).max() == 0)
 
 
 def frozen_frames(outer: Float64, centres: Float64, width: float) -> Bool:

@@ -218,13 +218,7 @@ class Window:
         return [*fitted.doubts, *far_joints(found[0], image.at, spread, names)]
 
     def judged(
-        self,
-        views: Sequence[FrameView],
-        found: Found,
-        misfit: float,
-        of_masks: Sequence[str],
-        body: Body,
-        source: str,
+        self, views: Sequence[FrameView], found: Found, misfit: float, of_masks: Sequence[str], body: Body, source: str
     ) -> Judged:
         """Judge an image by how its pose explains the masks of views; ``source`` names the evidence.
 
