@@ -221,26 +221,16 @@ class Inputs:
         self._connection = connection
         for name, eye in self.topics.eyes.items():
             for topic, kind in eye.of_frames.items():
-                self._subscribe(connection, topic, kind, partial(self._on_part, name, topic), largest=LARGEST_IMAGE)
-            self._subscribe(connection, eye.camera, _CAMERA_INFO, partial(self._on_camera, name))
+                self._subscribe(topic, kind, partial(self._on_part, name, topic))
+            self._subscribe(eye.camera, _CAMERA_INFO, partial(self._on_camera, name))
         for arm, topics in self.topics.joints.items():
             for topic in topics:
-                take = partial(self._on_joints, topic, self.readings[arm])
-                self._subscribe(connection, topic, _JOINT_STATE, take, newest=False)
-        if self.topics.endoscope is not None:
-            take = partial(self._on_endoscope, self.topics.endoscope)
-            self._subscribe(connection, self.topics.endoscope, _JOINT_STATE, take, newest=False)
+                self._subscribe(topic, _JOINT_STATE, partial(self._on_joints, topic, [self.readings[arm]]))
+        if (endoscope := self.topics.endoscope) is not None:
+            take = partial(self._on_joints, endoscope, [*self.readings.values()])
+            self._subscribe(endoscope, _JOINT_STATE, take)
 
-    def _subscribe(
-        self,
-        connection: Connection,
-        topic: str,
-        kind: str,
-        take: Callable[[Fields], None],
-        *,
-        largest: int = LARGEST_MESSAGE,
-        newest: bool = True,
-    ) -> None:
+    def _subscribe(self, topic: str, kind: str, take: Callable[[Fields], None]) -> None:
         """Subscribe to a topic; whatever is wrong with a message costs that message and a line."""
 
         def receive(fields: Fields) -> None:
@@ -251,7 +241,8 @@ class Inputs:
             except Exception as error:
                 self._report(f"{topic}: a message that cannot be read: {one_line(error)}")
 
-        connection.subscribe(topic, kind, receive, largest=largest, newest=newest)
+        largest = LARGEST_IMAGE if kind in (_IMAGE, _COMPRESSED) else LARGEST_MESSAGE
+        self._connection.subscribe(topic, kind, receive, largest=largest, newest=kind != _JOINT_STATE)
 
     def unheard(self, topics: Sequence[str]) -> list[str]:
         """Return those of some topics that no message has come of."""
@@ -317,20 +308,15 @@ class Inputs:
         received = min(one.received for one in parts.values())
         return LiveFrame(first, self.topics, received, {eye: one.fields for eye, one in parts.items()})
 
-    def _on_joints(self, topic: str, mailbox: Mailbox[JointMessage], fields: Fields) -> None:
+    def _on_joints(self, topic: str, mailboxes: Sequence[Mailbox[JointMessage]], fields: Fields) -> None:
+        """Give readings to the arms they are of; whole ones of the endoscope's arm to all, with their own."""
         readings = read_joint_message(topic, fields)
         self._heard[topic] = self.now()
-        if readings.joints:  # there are none before an arm is up
+        if topic == self.topics.endoscope:
+            joints = {f"ecm_{name}": value for name, value in readings.joints.items() if f"ecm_{name}" in ECM_JOINTS}
+            readings = replace(readings, joints=joints if len(joints) == len(ECM_JOINTS) else {})
+        for mailbox in mailboxes if readings.joints else ():  # there are none before an arm is up
             mailbox.put(readings)
-
-    def _on_endoscope(self, topic: str, fields: Fields) -> None:
-        """Give whole readings of the endoscope's arm to all arms, with their own."""
-        readings = read_joint_message(topic, fields)
-        self._heard[topic] = self.now()
-        joints = {f"ecm_{name}": value for name, value in readings.joints.items() if f"ecm_{name}" in ECM_JOINTS}
-        if len(joints) == len(ECM_JOINTS):
-            for mailbox in self.readings.values():
-                mailbox.put(replace(readings, joints=joints))
 
     def _on_camera(self, eye: str, fields: Fields) -> None:
         """Keep the cameras of all eyes where one is another than before."""

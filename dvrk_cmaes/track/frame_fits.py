@@ -228,11 +228,8 @@ def _spread(expected: Expected, camera: Camera) -> float:
 
 def with_outside(data: FrameData) -> FrameData:
     """Return a frame in whose images the pixels outside the field of view are ignored."""
-    return replace(data, views=tuple(_with_outside(view) for view in data.views))
-
-
-def _with_outside(view: SeenView) -> SeenView:
-    outside = None if view.image is None else outside_view(view.image)
-    if outside is None or not outside.any() or outside.shape != view.mask.shape:
-        return view
-    return view.without(outside)
+    views = []
+    for view in data.views:
+        outside = np.zeros_like(view.mask) if view.image is None else outside_view(view.image)
+        views.append(view.without(outside) if outside.any() and outside.shape == view.mask.shape else view)
+    return replace(data, views=tuple(views))

@@ -34,16 +34,9 @@ LEAST_KEYFRAMES: Final = 12
 
 _LEAST_AREA = 0.5  # of the median area of the masks, from which on a frame is well in view
 _MOST_BORDER = 0.3  # share of a mask's contour that may lie on the image's border
-_UNITS = {
-    "insertion": 0.01,
-    "roll": 0.5,
-    "yaw": 0.05,
-    "pitch": 0.05,
-    "ecm_insertion": 0.01,
-    "ecm_roll": 0.1,
-    "ecm_yaw": 0.05,
-    "ecm_pitch": 0.05,
-}  # m and rad, of as different poses as
+# m and rad, of as different poses as
+_OF_ENDOSCOPE: Final = {"ecm_insertion": 0.01, "ecm_roll": 0.1, "ecm_yaw": 0.05, "ecm_pitch": 0.05}
+_UNITS: Final = {"insertion": 0.01, "roll": 0.5, "yaw": 0.05, "pitch": 0.05, **_OF_ENDOSCOPE}
 _JOINT_UNIT = 0.4  # rad, of the instrument's own joints
 _TIME_UNITS = 8.0  # of the whole recording
 
