@@ -142,33 +142,20 @@ def smooth_spline(series: TimedReadings, times: Times) -> Float64:
     A straight line averages the noise of two readings in its middle, and not at its ends. The spline averages nearly
     the same noise everywhere.
     """
+    from scipy.interpolate import BSpline  # imported late: most imports do without
+
     if len(series.times) < 2:
         return straight_line(series, times)
-    return np.stack([_spline(series.times, column, times) for column in series.values.T], axis=1)
-
-
-def _spline(stamps: Times, values: Float64, times: Times) -> Float64:
-    """Evaluate the cubic spline with readings (M,) at times (M,) as control points at times (N,) between them."""
-    rows = np.stack([stamps, values], axis=1)
-    control = np.concatenate([2 * rows[:1] - rows[1:2], rows, 2 * rows[-1:] - rows[-2:-1]])
-    at = np.interp(times, stamps, np.arange(float(len(stamps))))
-    first = np.clip(np.floor(at).astype(int), 0, len(stamps) - 2)
-    of_value, of_slope = _uniform_basis(at - first)
-    near = control[first[:, None] + np.arange(4)]
-    place, slope = (np.einsum("kn,nkc->cn", basis, near) for basis in (of_value, of_slope))
-    # of unevenly spaced readings, the spline is there at a slightly other time
-    return np.asarray(place[1] + (times - place[0]) * slope[1] / slope[0])
-
-
-def _uniform_basis(t: Float64) -> tuple[Float64, Float64]:
-    """Return the four uniform cubic B-splines at shares (N,) of the interval that all cover, and their slopes, (4, N).
-
-    SciPy has them as well, but its import slows the start of a process.
-    """
-    s = 1 - t
-    values = np.stack([s**3, 3 * t**3 - 6 * t**2 + 4, 3 * s**3 - 6 * s**2 + 4, t**3]) / 6
-    slopes = np.stack([-(s**2), 3 * t**2 - 4 * t, 4 * s - 3 * s**2, t**2]) / 2
-    return values, slopes
+    found = []
+    place = np.interp(times, series.times, np.arange(float(len(series.times))))
+    for column in series.values.T:
+        rows = np.stack([series.times, column], axis=1)
+        control = np.concatenate([2 * rows[:1] - rows[1:2], rows, 2 * rows[-1:] - rows[-2:-1]])
+        spline = BSpline(np.arange(-3.0, len(rows) + 3), control, 3)
+        (stamps, values), (pace, slopes) = spline(place).T, spline.derivative()(place).T
+        # of unevenly spaced readings, the spline is there at a slightly other time
+        found.append(values + (times - stamps) * slopes / pace)
+    return np.stack(found, axis=1)
 
 
 _LEAST_SPACING: Final = 0.03  # s, from which on readings may be too sparse; errors of single ones would count otherwise

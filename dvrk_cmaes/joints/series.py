@@ -50,22 +50,17 @@ class ReadingSeries:
         smoothed
             Whether to interpolate by a spline.
         """
-        out = np.full((len(times), len(names)), np.nan)
+        out, least = np.full((len(times), len(names)), np.nan), _LEAST_GAP if self.unit == "s" else 0.0
         for k, name in enumerate(names):
-            if name in self.times:
-                readings = TimedReadings((name,), self.times[name], self.values[name][:, None])
-                curve = smooth_spline if smoothed else straight_line
-                out[:, k] = readings.at(times, curve, apart=self._gaps[name])[:, 0]
+            if (readings := self._of_joints.get(name)) is not None:
+                gap = max(_SPACINGS * readings.spacing, least) if len(readings.times) > 2 else np.inf
+                out[:, k] = readings.at(times, smooth_spline if smoothed else straight_line, apart=gap)[:, 0]
         return out
 
     @cached_property
-    def _gaps(self) -> Mapping[str, float]:
-        """Longest times over which the readings of each joint are interpolated."""
-        least = _LEAST_GAP if self.unit == "s" else 0.0
-        return {
-            name: max(_SPACINGS * float(np.median(np.diff(stamps))), least) if len(stamps) > 2 else np.inf
-            for name, stamps in self.times.items()
-        }
+    def _of_joints(self) -> Mapping[str, TimedReadings]:
+        """The readings of each joint."""
+        return {name: TimedReadings((name,), own, self.values[name][:, None]) for name, own in self.times.items()}
 
     def of_frame(self, name: str, lag: Lag) -> dict[str, float]:
         """Return the readings at the time of a frame's image less the lag, by joint; without those that are not there.
