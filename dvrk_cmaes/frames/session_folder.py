@@ -249,8 +249,9 @@ def read_session(
     if said.crop is not None:
         frames = tuple(frame.changed(crop=said.crop) for frame in frames)
     stereo, guessed = _is_stereo(root, mask_folder), False
-    path, right = said.file or said.left or _camera_file(root), camera_right or said.right
-    stated = said.file is not None or said.left is not None
+    usual = next((root / name for name in _CAMERAS if os.path.lexists(root / name)), root / _CAMERAS[0])
+    path, right = said.file or said.left or usual, camera_right or said.right
+    stated, rectified = said.file is not None or said.left is not None, rectified or said.rectified
     if stereo:
         if focal not in (None, "usual"):
             raise InputError(
@@ -260,7 +261,7 @@ def read_session(
             path, right = root / "left.yaml", root / "right.yaml"
         check_own(root, (path, right))
         first = frames[0] if frames[0].mask or frames[0].image else frames[0].others[_VIEWS[1]]
-        lens = read_rig(path, right, rectified=rectified or said.rectified, size=lambda: frame_size(first))
+        lens = read_rig(path, right, rectified=rectified, size=lambda: frame_size(first))
         notes = ("a session folder of two views", *notes[1:])
     elif right is not None:
         raise InputError(
@@ -272,9 +273,7 @@ def read_session(
         check_own(root, [path])
         if not (stated or os.path.lexists(path)):
             raise InputError(f"{path}: no such file; expected a camera file (--camera FILE); {UNCALIBRATED}")
-        lens = read_camera_file(
-            path, rectified=rectified or said.rectified, side=side, size=lambda: frame_size(frames[0])
-        )
+        lens = read_camera_file(path, rectified=rectified, side=side, size=lambda: frame_size(frames[0]))
     if not stereo and video is not None and (film := frames[0].video) is not None:
         window = film.video.window(lens.camera, None, side)
         frames = tuple(replace(own, video=own.video and replace(own.video, window=window)) for own in frames)
@@ -305,32 +304,22 @@ def _of_tool(session: Session, tool: ToolEntry, others: Sequence[ToolEntry]) -> 
     InputError
         The folder of masks of another tool has none, or one is a link that leaves the session.
     """
-    masks = {
-        (other.arm, view): image_files(other.masks / view)
-        for other in others
-        if other.masks is not None
-        for view in session.view_names
-    }
-    check_own(session.folder, (path for of_view in masks.values() for path in of_view.values()))
+    masks: dict[str, Mapping[str, Mapping[str, Path]]] = {}
     for other in others:
-        if other.masks is not None and not any(masks[other.arm, view] for view in session.view_names):
-            raise InputError(f"{other.masks}: expected masks (PNG or JPEG) of {other.arm}, got none")
+        if other.masks is not None:
+            masks[other.arm] = {view: image_files(other.masks / view) for view in session.view_names}
+            check_own(session.folder, (path for of_view in masks[other.arm].values() for path in of_view.values()))
+            if not any(masks[other.arm].values()):
+                raise InputError(f"{other.masks}: expected masks (PNG or JPEG) of {other.arm}, got none")
 
     def of_view(files: FrameFiles, view: str) -> FrameFiles:
         """Return the files of one view of a frame for the tool, with those of its further views."""
-        own = ((other, masks[other.arm, view].get(files.name) if other.masks else files.mask) for other in others)
-        hiding = [
-            FrameFiles(files.name, mask, label=other.label, pick=other.pick) for other, mask in own if mask is not None
-        ]
+        own = ((other, masks[other.arm][view].get(files.name) if other.masks else files.mask) for other in others)
+        hiding = (FrameFiles(files.name, mask, label=other.label, pick=other.pick) for other, mask in own if mask)
         more = {name: of_view(each, name) for name, each in files.others.items()}
         return replace(files, label=tool.label, pick=tool.pick, other_tools=tuple(hiding), others=more)
 
     return replace(session, frames=tuple(of_view(files, session.view_names[0]) for files in session.frames))
-
-
-def _camera_file(root: Path) -> Path:
-    """Return the camera file of a session: camera.yaml, or else another of a usual name."""
-    return next((root / name for name in _CAMERAS if os.path.lexists(root / name)), root / _CAMERAS[0])
 
 
 def _is_stereo(root: Path, masks: Path) -> bool:
@@ -441,7 +430,7 @@ def _session_frames(
         remarks.append(f"not read: {listed(unused)}: session.toml can name masks and joints of other names")
     if images and (alone := [name for name in masks if name not in images and name not in rows]):
         remarks.append(f"masks without an image or a row of readings: {listed(alone)}")
-    frames, farthest = [], None
+    frames, distances = list[FrameFiles](), list[int]()
     for name, time in image_times.items():
         moments = [time, *(file.time(name) for file in files if file.labels == "frame")]
         first, *further = (
@@ -456,14 +445,14 @@ def _session_frames(
             prompts=boxes.get(name),
             video=films.get(name),
         )
-        frame, far = _with_readings(frame, files, time)
+        frame, farthest = _with_readings(frame, files, time)
         frames.append(frame)
-        farthest = max((d for d in (farthest, far) if d is not None), default=None)
+        distances += [] if farthest is None else [farthest]
     if all(frame.problem for frame in frames):
         raise InputError(str(frames[0].problem))
     notes = [text for file in files for text in (f"readings: {file.kind}", *file.notes)] or [NO_READINGS]
-    if farthest is not None:
-        away, most = farthest / NANOSECONDS, TIME_TOLERANCE / NANOSECONDS
+    if distances:
+        away, most = max(distances) / NANOSECONDS, TIME_TOLERANCE / NANOSECONDS
         remarks.append(
             f"readings interpolated to the images' times, from at most {away:.3g} s away ({most:g} s are allowed)"
         )

@@ -63,7 +63,10 @@ def usual(header: Sequence[str], rows: Rows) -> tuple[list[str], Rows]:
     names = {old: new for old in header if (new := rename(old)) is not None and not _WITHOUT_NAME.fullmatch(new)}
     if names.keys() >= _NUMBERED.keys() - {"jaw_angle"}:
         names = {old: _NUMBERED.get(new, new) for old, new in names.items()}
-    split = _split_time(names, rows)
+    if (split := _split_time(names, rows)) is not None:
+        names = {"time": "time", **{old: new for old, new in names.items() if old not in split}}
+        for _, cells in rows:
+            cells["time"] = f"{cells[split[0]]}.{cells[split[1]]:0>9}"
     frame = next((old for old, new in names.items() if new == "frame"), None)
     frame = frame or next((old for old, new in names.items() if new.lower() in _FRAMES), None)
     factors = {}
@@ -77,19 +80,13 @@ def usual(header: Sequence[str], rows: Rows) -> tuple[list[str], Rows]:
                 names[old] = f"{match[1]}_{short}"
             elif factor is not None:
                 names[old], factors[old] = match[1], factor
-    files = [] if frame is None else [_PICTURE.fullmatch(cells[frame]) for _, cells in rows]
+    files = [None if frame is None else _PICTURE.fullmatch(cells[frame]) for _, cells in rows]
     stems = [PurePath(match[1].replace("\\", "/")).name for match in files if match is not None]
-    if split is None and not factors and len(stems) < len(rows) and list(names.values()) == list(header):
-        return list(header), rows
-    found: Rows = []
-    for k, (where, cells) in enumerate(rows):
-        own = {new: _times(cells[old], factors.get(old, 1.0)) for old, new in names.items() if old not in (split or ())}
-        if frame is not None and len(stems) == len(rows):
-            own["frame"] = stems[k]
-        time = {} if split is None else {"time": f"{cells[split[0]]}.{cells[split[1]]:0>9}"}
-        found.append((where, {**time, **own}))
-    kept = [new for old, new in names.items() if old not in (split or ())]
-    return [*([] if split is None else ["time"]), *kept], found
+    if len(stems) == len(rows) and frame is not None:
+        for (_, cells), stem in zip(rows, stems, strict=True):
+            cells[frame] = stem
+    renamed = ({new: _times(cells[old], factors.get(old, 1.0)) for old, new in names.items()} for _, cells in rows)
+    return [*names.values()], [(where, own) for (where, _), own in zip(rows, renamed, strict=True)]
 
 
 def _split_time(names: Mapping[str, str], rows: Rows) -> tuple[str, str] | None:

@@ -22,7 +22,7 @@ from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
 from dvrk_cmaes.joints.names import ECM_JOINTS, notes_on_messages
 from dvrk_cmaes.joints.rows import JointFile
 from dvrk_cmaes.recording.camera import camera_file, read_camera_bytes
-from dvrk_cmaes.recording.messages import ecm_values, image_file, joint_places, joint_values, stamp, stamped_pose
+from dvrk_cmaes.recording.messages import ecm_values, image_file, joint_values, stamp, stamped_pose
 from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording
 from dvrk_cmaes.recording.topics import (
     IMAGES,
@@ -259,14 +259,16 @@ class _Readings:
     def of(reader: AnyReader, path: Path, topic: str, arm: str | None, *, of_ecm: bool = False) -> _Readings:
         """Read a topic of an arm or of the endoscope's; messages without positions, as before it is up, are skipped."""
         where = f"{path}: {topic}"
-        places = dict.fromkeys(ECM_JOINTS, 0) if of_ecm else {}
-        values, stamps, recorded, skipped, unnamed = [], [], [], 0, False
+        values, stamps, recorded, skipped, unnamed = list[dict[str, float]](), [], [], 0, False
         for time, message in _messages(reader, path, topic):
-            places = places or joint_places(message, where, arm)
-            row = ecm_values(message, where) if of_ecm else joint_values(message, places, where, arm)
-            if row is None:
+            of_joints = zip(ECM_JOINTS, ecm_values(message, where), strict=False) if of_ecm else ()
+            row = dict(of_joints) if of_ecm else joint_values(message, where, arm)
+            if not row:
                 skipped += 1
                 continue
+            if values and row.keys() != values[0].keys():
+                expected = f"expected a position of each of {', '.join(values[0])} in every message"
+                raise InputError(f"{where}: {expected}, got {listed(row, 8)}")
             unnamed |= not of_ecm and not message.name
             values.append(row)
             stamps.append(stamp(message))
@@ -274,7 +276,9 @@ class _Readings:
         if not values:
             raise InputError(f"{where}: expected messages with positions, got {skipped} without")
         notes = notes_on_messages(unnamed=unnamed, skipped=0 if of_ecm else skipped)
-        return _Readings(topic, tuple(places), values, stamps, recorded, notes)
+        joints = tuple(values[0])
+        rows = [[row[name] for name in joints] for row in values]
+        return _Readings(topic, joints, rows, stamps, recorded, notes)
 
 
 def _images(path: Path, topic: str, recorded_times: bool) -> Iterator[RecordedImage]:

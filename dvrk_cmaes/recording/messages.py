@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import cv2
@@ -119,14 +118,14 @@ def stamped_pose(message: Any) -> Float64:
     return transform(rotation, [place.x, place.y, place.z])
 
 
-def ecm_values(message: Any, where: str) -> list[float] | None:
-    """Return the ECM's joints, rad and m, of a JointState or of its tip's PoseStamped; None without positions."""
+def ecm_values(message: Any, where: str) -> list[float]:
+    """Return the ECM's joints, rad and m, of a JointState or of its tip's PoseStamped; none without positions."""
     if hasattr(message, "pose"):
         found: list[float] = joints_of_ecm_tip(stamped_pose(message)).tolist()
         return found
     position = [float(value) for value in message.position]
     if not position:
-        return None
+        return position
     names = [str(name).lower() for name in message.name] or list(OUTER_JOINTS)
     places = [
         next((k for k, own in enumerate(names) if own.removesuffix("_joint").endswith(name)), -1)
@@ -137,16 +136,6 @@ def ecm_values(message: Any, where: str) -> list[float] | None:
     return [position[place] for place in places]
 
 
-def joint_values(message: Any, joints: Mapping[str, int], where: str, arm: str | None = None) -> list[float] | None:
-    """Return the positions of a JointState, rad or m, NaN included, in the order of ``joints``; None without any.
-
-    InputError if its joints are other ones.
-    """
-    places = joint_places(message, where, arm)
-    if not places:
-        return None
-    if set(places) != set(joints):
-        raise InputError(
-            f"{where}: expected a position of each of {', '.join(joints)} in every message, got {listed(places, 8)}"
-        )
-    return [float(message.position[places[joint]]) for joint in joints]
+def joint_values(message: Any, where: str, arm: str | None = None) -> dict[str, float]:
+    """Return the positions of a JointState by joint, rad or m, NaN included; none without positions."""
+    return {name: float(message.position[place]) for name, place in joint_places(message, where, arm).items()}
