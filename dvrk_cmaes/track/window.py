@@ -50,50 +50,28 @@ _CORRELATED_FRAMES = 3.0  # near each other, whose masks err alike: the informat
 _JITTER = 1e-9  # of a covariance, so that it can be inverted
 
 
-def smoothed_deviations(
-    times: Float64,
-    prior: Float64,
-    information: Float64,
-    optimum: Float64,
-    jacobian: Float64,
-    by_margin: Float64,
-    *,
-    only_last: bool = False,
-) -> tuple[Float64, Float64, Float64]:
-    """Find the most probable deviations of all frames, or of the last one only, N = 1, given all.
+def smoothed_deviations(images: Sequence[WindowImage], *, only_last: bool = False) -> tuple[Float64, Float64, Float64]:
+    """Find the most probable deviations of all N images, or of the last one only, N = 1, given all.
 
-    They are the sums of slow and fast parts, M = 2 D, of a block-tridiagonal system.
-
-    Parameters
-    ----------
-    times : (N,)
-        Times of the frames, s, increasing.
-    prior : (N, D, D)
-        Covariance of each frame's deviation.
-    information : (N, D, D)
-        What each outline tells: the matrix of its quadratic term; zero for a frame without one.
-    optimum : (N, D)
-        The information times the deviation at which that term is least.
-    jacobian : (N, D, K)
-        Change of the predictions with the calibration.
-    by_margin : (N, D)
-        Change of ``optimum`` per px of a margin of all masks.
-    only_last
-        Whether only the last deviation is found.
+    They are the sums of slow and fast parts, M = 2 D, of a block-tridiagonal system. The images' times increase.
 
     Returns
     -------
     deviations : (N, D)
-        Those of the frames from their predictions.
+        Those of the images from their predictions.
     covariance : (N, D, D)
         That of the deviations.
     response : (N, D, K + 1)
-        Change of the frames' poses and joints with the calibration, and per px of the margin.
+        Change of the images' poses and joints with the calibration, and per px of the margin of all masks.
     """
-    size, parts = optimum.shape[1], np.array([SLOW_SHARE, 1 - SLOW_SHARE])
-    left = np.exp(
-        -np.diff(times)[:, None] / np.array([SLOW_SECONDS, FAST_SECONDS])
-    )  # of both parts, from a frame to the next one
+    times = np.array([image.time for image in images])
+    prior = np.array([image.predicted.prior[image.k] for image in images])
+    jacobian = np.array([image.predicted.jacobian[image.k] for image in images])
+    information = np.array([image.information for image in images])
+    stated = np.array([[image.optimum, image.by_margin] for image in images])
+    size, parts = stated.shape[2], np.array([SLOW_SHARE, 1 - SLOW_SHARE])
+    # of both parts, from a frame to the next one
+    left = np.exp(-np.diff(times)[:, None] / np.array([SLOW_SECONDS, FAST_SECONDS]))
     noise = parts * (1 - left**2 + _JITTER)
     # A covariance is carried to the next frame as its Cholesky factor, since it may be another one there.
     inverse_root = np.linalg.inv(np.linalg.cholesky(prior))
@@ -106,7 +84,7 @@ def smoothed_deviations(
     for k, part in enumerate((slice(0, size), slice(size, None))):
         diagonal[:, part, part] += factors[:, k, None, None] * own
         coupling[:, part, part] = -(left / noise)[:, k, None, None] * across
-    right = np.concatenate([optimum[:, :, None], -information @ jacobian, by_margin[:, :, None]], axis=2)
+    right = np.concatenate([stated[:, 0, :, None], -information @ jacobian, stated[:, 1, :, None]], axis=2)
     both = np.tile(np.eye(size), 2)
     pivots, sides = _kernel.eliminate_chain(diagonal, coupling, np.tile(right, (1, 2, 1)))
     if only_last:
@@ -122,8 +100,9 @@ def smoothed_deviations(
 class WindowImage:
     """An image of the window: its time, s, its prediction, the ``k``-th of some, and what its fit states about that.
 
-    ``information`` (D, D), ``optimum`` (D,) and ``by_margin`` (D,) are those of `smoothed_deviations`, zero where it
-    states nothing; ``misfit`` is the squared misfit per parameter.
+    ``information`` (D, D) is the matrix of the outline's quadratic term, ``optimum`` (D,) that times the deviation at
+    which the term is least, and ``by_margin`` (D,) its change per px of a margin of all masks; they are zero where the
+    fit states nothing. ``misfit`` is the squared misfit per parameter.
     """
 
     time: float
@@ -191,15 +170,7 @@ class Window:
         """
         calibration = self.calibration
         corrected = calibration.corrected(self.camera)
-        deviations, covariances, responses = smoothed_deviations(
-            np.array([image.time for image in images]),
-            np.array([image.predicted.prior[image.k] for image in images]),
-            np.array([image.information for image in images]),
-            np.array([image.optimum for image in images]),
-            np.array([image.predicted.jacobian[image.k] for image in images]),
-            np.array([image.by_margin for image in images]),
-            only_last=only_last,
-        )
+        deviations, covariances, responses = smoothed_deviations(images, only_last=only_last)
         calibrated, found = calibration.whole_covariance, []
         solved = images[-len(deviations) :]
         for image, deviation, own, response in zip(solved, deviations, covariances, responses, strict=True):
