@@ -145,19 +145,18 @@ class Video:
             layout, parts["mono"] = "mono", crop
         fitting = [name for name, part in parts.items() if camera is None or _is_like(part, camera)]
         layout = layout or next(iter(fitting), None)
-        if layout is None or layout not in fitting:
-            assert camera is not None
-            own = f"{camera.width} x {camera.height}"
-            if layout is not None:
-                raise InputError(
-                    f"{self.path}: --layout {layout}: expected pictures of the aspect of the calibration's {own}, got "
-                    f"{parts[layout][2]} x {parts[layout][3]}"
-                )
+        if layout in fitting:
+            return parts[layout]
+        assert camera is not None
+        own = f"{camera.width} x {camera.height}"
+        if layout is None:
             raise InputError(
                 f"{self.path}: expected the calibration's {own}, or two such pictures side by side or one above the "
                 f"other, got {width} x {height} (--layout: another arrangement; --crop: a part)"
             )
-        return parts[layout]
+        got = f"{parts[layout][2]} x {parts[layout][3]}"
+        expected = f"expected pictures of the aspect of the calibration's {own}"
+        raise InputError(f"{self.path}: --layout {layout}: {expected}, got {got}")
 
 
 @lru_cache(maxsize=4)

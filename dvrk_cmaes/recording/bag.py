@@ -20,7 +20,7 @@ from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.io.yaml_file import check_yaml
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
 from dvrk_cmaes.joints.names import ECM_JOINTS, notes_on_messages
-from dvrk_cmaes.joints.rows import JointFile
+from dvrk_cmaes.joints.rows import JointFile, JointRow
 from dvrk_cmaes.recording.camera import camera_file, read_camera_bytes
 from dvrk_cmaes.recording.messages import ecm_values, image_file, joint_values, stamp, stamped_pose
 from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording
@@ -103,16 +103,13 @@ def _recording(reader: AnyReader, path: Path, asked: Asked) -> Recording:
         notes.append(f"camera: {camera or info}{changes}")
         stamps |= {image: [stamp(m) for _, m in islice(_messages(reader, path, image), _JUDGED)]}
     faults = [f"{name} {fault}" for name, each in stamps.items() if (fault := _fault(each))]
-    if faults and not asked.recorded_times:
-        notes.append(f"times: those of recording, for the headers on {', and on '.join(faults)}")
-    else:
-        notes.append(f"times: {'those of recording' if asked.recorded_times else 'those of the headers'}")
+    why = f", for the headers on {', and on '.join(faults)}" if faults and not asked.recorded_times else ""
     by_recording = asked.recorded_times or bool(faults)
+    notes.append(f"times: those of {'recording' if by_recording else 'the headers'}{why}")
     arms: dict[str, tuple[TimedReadings, ...]] = {}
     for arm, of_arm in read.items():
         given, _ = asked.given_readings(arm or None)
-        times = {own.topic: own.recorded if by_recording else own.stamps for own in of_arm}
-        series = *(TimedReadings.of(own.topic, own.joints, times[own.topic], own.values) for own in of_arm), *given
+        series = (*(own.series(by_recording) for own in of_arm), *given)
         name = f"{arm}: " if len(read) > 1 else ""
         arms[arm if len(read) > 1 else ""] = series
         notes += [f"{name}{' '.join(own.joints)}: {own.source}" for own in series]
@@ -120,31 +117,19 @@ def _recording(reader: AnyReader, path: Path, asked: Asked) -> Recording:
         if series and not any("jaw" in own.joints for own in series):
             notes.append(f"{name}jaw: not read")
     images = iter(()) if image is None else _images(path, image, by_recording)
-    return Recording(
-        path,
-        images,
-        sum(connection.msgcount for connection in reader.connections if connection.topic == image),
-        lens,
-        arms,
-        tuple(notes),
-        kept={SETUP: setup_text(setup).encode()} if setup else {},
-        rectified=asked.rectified,
-    )
+    total = sum(connection.msgcount for connection in reader.connections if connection.topic == image)
+    kept = {SETUP: setup_text(setup).encode()} if setup else {}
+    return Recording(path, images, total, lens, arms, tuple(notes), kept, rectified=asked.rectified)
 
 
 def read_bag_joints(path: Path, arm: str | None = None) -> JointFile:
     """Read the readings of an arm in a ROS recording as a file of readings with times; errors as `open_bag`."""
     recording = open_bag(path, Asked(arms=() if arm is None else (arm,), image_topic=NONE))
-    rows = {
-        f"message {k + 1} of {series.source}": (
-            f"{path}: {series.source}: message {k + 1}",
-            dict(zip(series.joints, row, strict=True)),
-            int(time),
-        )
-        for of_arm in recording.arms.values()
-        for series in of_arm
-        for k, (time, row) in enumerate(zip(series.times, series.values.tolist(), strict=True))
-    }
+    rows: dict[str, JointRow] = {}
+    for series in (series for of_arm in recording.arms.values() for series in of_arm):
+        for k, (time, row) in enumerate(zip(series.times.tolist(), series.values.tolist(), strict=True)):
+            where, name = f"{path}: {series.source}: message {k + 1}", f"message {k + 1} of {series.source}"
+            rows[name] = where, dict(zip(series.joints, row, strict=True)), time
     return JointFile.of(str(path), "ROS recording", rows, "message", recording.notes)
 
 
@@ -254,6 +239,10 @@ class _Readings:
     stamps: list[int]
     recorded: list[int]
     notes: tuple[str, ...]
+
+    def series(self, by_recording: bool) -> TimedReadings:
+        """Return the readings over the times of recording, or over those of the headers."""
+        return TimedReadings.of(self.topic, self.joints, self.recorded if by_recording else self.stamps, self.values)
 
     @staticmethod
     def of(reader: AnyReader, path: Path, topic: str, arm: str | None, *, of_ecm: bool = False) -> _Readings:

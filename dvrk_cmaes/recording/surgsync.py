@@ -193,11 +193,8 @@ def _times(path: Path, side: Side) -> tuple[dict[int, int], dict[str, list[int]]
     A topic without a time in a row has that of the left image there.
     """
     table, meta = path / _STAMPS, path / _META
-    start = 0
-    if meta.is_file():
-        start = _whole(
-            meta, "master_t0_ns", read_json_object(meta, expected=f"a packed episode's {_META}").get("master_t0_ns")
-        )
+    said = read_json_object(meta, expected=f"a packed episode's {_META}") if meta.is_file() else {"master_t0_ns": 0}
+    start = _whole(meta, "master_t0_ns", said.get("master_t0_ns"))
     of_right = f"{_AGAINST}image_right_ns"
     others = [name for name in field_names(table) if name.startswith(_AGAINST)]
     columns = read_columns(table, (_ROW, _TIME, *([of_right] if side == "right" else [])), others)
@@ -304,10 +301,8 @@ def camera_of_clip(folder: Path, asked: Asked) -> tuple[bytes, str]:
     """
     lens, stereo = asked.camera or folder / f"{asked.eye}.yaml", folder / _STEREO
     data = read_camera_bytes(lens)
-    if asked.camera is not None or asked.eye == "left" or not stereo.is_file():
-        return data, str(lens)
-    right = read_document(lens)
-    if has_pose(str(lens), right):
+    right = {} if asked.camera is not None or asked.eye == "left" or not stereo.is_file() else read_document(lens)
+    if not right or has_pose(str(lens), right):
         return data, str(lens)
     pose, notes = pose_of_storage(str(stereo), read_document(stereo), rectified=False)
     right = {**right, "right_from_left": pose.tolist()}  # of raw cameras

@@ -20,7 +20,6 @@ from dvrk_cmaes.frames.seen_view import PackedMask
 from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.names import ECM_JOINTS
-from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.doubts import readings_too_sparse
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.track.follower import Followed, Follower
@@ -266,7 +265,8 @@ class Keyframes:
             config = replace(config, session=replace(config.session, test_camera=False))
         keyframes = sorted(keyframes, key=lambda one: one.time)
         alone = {one.name: self._alone[one.name] for one in keyframes if one.name in self._alone}
-        series = self._series(keyframes)
+        interval = float(np.median(self._interval)) if self._interval else 1 / 30
+        series = self._readings.series({one.name: one.time for one in keyframes}, interval)
         return KeyframeProblem(tuple(keyframes), series, given.rig, given.arm, config, alone, self.base)
 
     @property
@@ -293,11 +293,3 @@ class Keyframes:
         """Return at most some keyframes: those solved last, and each time that one which is farthest from them."""
         before = [index for index, keyframe in enumerate(self._kept) if keyframe.name in self._asked]
         return [self._kept[index] for index in farthest_first(self._places, before, most)]
-
-    def _series(self, keyframes: Sequence[Keyframe]) -> ReadingSeries:
-        """Return the readings that are kept, with the times of some keyframes."""
-        read = self._readings.by_joint
-        times, values = ({name: own[k] for name, own in read.items()} for k in (0, 1))
-        names = {keyframe.name: keyframe.time for keyframe in keyframes}
-        interval = float(np.median(self._interval)) if self._interval else 1 / 30
-        return ReadingSeries("s", times, values, names, interval)

@@ -6,7 +6,7 @@ import math
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import compress, pairwise
 from typing import Final
 
 import numpy as np
@@ -18,6 +18,7 @@ from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.arguments import check_type, checked_number
 from dvrk_cmaes.joints.interpolation import Sparseness, TimedReadings, Times, weighted_mean
 from dvrk_cmaes.joints.names import ECM_JOINTS, READINGS, check_readings
+from dvrk_cmaes.joints.series import ReadingSeries
 
 _KEPT = 3.0  # s; older readings are dropped
 _AROUND = 0.6  # s, before and after a keyframe, within which readings are kept
@@ -91,10 +92,10 @@ class ReadingBuffer:
         self._added = 0
         self.near: list[float] = []
 
-    @property
-    def by_joint(self) -> dict[str, tuple[Float64, Float64]]:
-        """Times (N,), s, increasing, and readings (N,) that are kept, by joint, also of the endoscope's arm."""
-        return {name: (np.array(times), np.array(values)) for name, (times, values) in self._read.items()}
+    def series(self, frames: Mapping[str, float], interval: float) -> ReadingSeries:
+        """Return the readings that are kept, with the times of some frames, s, and the time between images, s."""
+        times, values = ({name: np.array(own[k]) for name, own in self._read.items()} for k in (0, 1))
+        return ReadingSeries("s", times, values, frames, interval)
 
     def add(self, time: float, joints: Mapping[str, float]) -> None:
         """Add the readings of one time, s; of two of a joint at the same time, the last is used.
@@ -127,11 +128,11 @@ class ReadingBuffer:
     def _drop_old(self) -> None:
         """Drop readings that are neither of the last seconds nor near one of the times."""
         newest = max(times[-1] for times, _ in self._read.values())
-        for name, (times, values) in self.by_joint.items():
-            kept = times > newest - _KEPT
+        for times, values in self._read.values():
+            kept = np.array(times) > newest - _KEPT
             for one in self.near:
-                kept |= np.abs(times - one) < _AROUND
-            self._read[name] = times[kept].tolist(), values[kept].tolist()
+                kept |= np.abs(np.array(times) - one) < _AROUND
+            times[:], values[:] = compress(times, kept), compress(values, kept)
 
     def at(self, time: float) -> ReadingAt:
         """Interpolate the readings linearly at a time, s; beyond them they are extrapolated by at most the gap."""
