@@ -55,13 +55,10 @@ def read_coco_mask(path: Path, name: str | None, categories: frozenset[str] | No
         there = sorted({kind for _, kinds in parts for kind in kinds})
         got = ", ".join(sorted(categories or ()))
         raise InputError(f"{path}: label: expected one of the categories {listed(there, 10)}, got {got}")
-    mask = None if size is None else np.zeros(size, np.bool_)
-    for part in chosen:
-        drawn = _drawn(path, part, size)
-        mask = drawn if mask is None else mask | drawn
-    if mask is None:
+    masks = [_drawn(path, part, size) for part in chosen] + ([] if size is None else [np.zeros(size, np.bool_)])
+    if not masks:
         raise InputError(f"{path}: expected {EXPECTED}, got the fields {listed(document) or '(none)'}")
-    return mask
+    return np.asarray(np.any(masks, axis=0))
 
 
 def frames_of(path: Path) -> list[str]:

@@ -401,10 +401,7 @@ def _session_frames(
     sources = () if joints is None else joints or _joint_files(root)
     tables = [root / name for name in _TABLES[:3]]
     check_own(root, [*tables, *(source for source in sources if isinstance(source, Path))])
-    files = [
-        source if isinstance(source, JointFile) else read_joint_file(source, known=known, read_as=read_as)
-        for source in sources
-    ]
+    files = [read_joint_file(source, known=known, read_as=read_as) for source in sources]
     of_frames = [file.names for file in files if file.labels == "frame"]
     rows = of_frames[0] if len(of_frames) == 1 else {name: 0 for names in of_frames for name in names}
     of_kinds, like = {"masks": of_views[0][0], "rows of readings": rows}, images or of_views[0][0]

@@ -104,24 +104,20 @@ def _mean(fits: Sequence[CableModel]) -> CableModel:
 
 def _of_joints(fit: _Fit, names: tuple[str, ...]) -> CableModel:
     """Return a fit for some joints."""
-    rows = {name: fit.joints.index(name) for name in fit.joints}
-    wrist = [rows[name] for name in _WRIST]
+    measured = np.array([name in fit.joints for name in names])
+    places = [fit.joints.index(name) if name in fit.joints else 0 for name in names]
+    wrist = [fit.joints.index(name) for name in _WRIST]
 
-    def each(values: list[float]) -> Float64:
+    def each(values: Sequence[float]) -> Float64:
         """Return values (C,) of the joints; for one that was not measured, the mean of the wrist's."""
-        common = float(np.mean([values[k] for k in wrist]))
-        return np.array([values[rows[name]] if name in rows else common for name in names])
+        of_fit = np.array(values)
+        return np.where(measured, of_fit[places], of_fit[wrist].mean())
 
     def pairs(values: list[list[float]], own: Float64) -> Float64:
         """Return values (C, C) of pairs of joints; of pairs that were not measured, the diagonal ``own`` (C,)."""
-        matrix = np.diag(own)
-        for j, name in enumerate(names):
-            for k, other in enumerate(names):
-                if name in rows and other in rows:
-                    matrix[j, k] = values[rows[name]][rows[other]]
-        return matrix
+        return np.where(measured[:, None] & measured, np.array(values)[np.ix_(places, places)], np.diag(own))
 
-    own_play = each([fit.play[k][k] for k in range(len(fit.joints))])
+    own_play = each(np.diag(np.array(fit.play)).tolist())
     return CableModel(
         names,
         np.zeros(len(names)),

@@ -52,7 +52,7 @@ def read_joint_table(path: str | Path) -> dict[str, dict[str, float]]:
 
 
 def read_joint_file(
-    text_or_path: str | Path, *, known: Iterable[str] = (), read_as: ReadAs = BY_THEMSELVES
+    text_or_path: str | Path | JointFile, *, known: Iterable[str] = (), read_as: ReadAs = BY_THEMSELVES
 ) -> JointFile:
     """Read a file of readings whose format is recognised by its content, or readings given as text as one row.
 
@@ -60,7 +60,7 @@ def read_joint_file(
     ----------
     text_or_path
         ``wrist_pitch=-0.68,wrist_yaw=-0.36,jaw=1.34``, or the path of a file of readings. Text with an equals sign is
-        taken for a path only if such a file exists.
+        taken for a path only if such a file exists. A file that was read already is returned.
     known
         Names of the instrument's joints that are accepted besides the dVRK's.
     read_as
@@ -71,6 +71,8 @@ def read_joint_file(
     InputError
         The readings are not valid; the message names the file, the frame or the joint, and what was expected.
     """
+    if isinstance(text_or_path, JointFile):
+        return text_or_path
     names = accepted_names(known)
     if is_written_out(text_or_path):
         row = ("joints", _written_out(str(text_or_path), names), None)
@@ -189,14 +191,9 @@ def read_frame_joints(
         As for ``frame_readings``; the frame has no row; there are no readings at its time less the lag.
     """
     name = image if frame is None else frame
-    files = [
-        source if isinstance(source, JointFile) else read_joint_file(source, known=known, read_as=read_as)
-        for source in sources
-    ]
-    if read_as.offset is not None:
-        files = [
-            file if file.labels == "message" else file.by_number([name], read_as.offset, read_as.step) for file in files
-        ]
+    files = [read_joint_file(source, known=known, read_as=read_as) for source in sources]
+    if (offset := read_as.offset) is not None:
+        files = [own if own.labels == "message" else own.by_number([name], offset, read_as.step) for own in files]
     image_time = time_in_name(image) if time is None else time
     series = None if lag is None else ReadingSeries.of_files(files, {name: image_time})
     if lag is not None and series is not None and name in series.frames:

@@ -37,27 +37,24 @@ _lines: list[str] = []
 _found: list[Mapping[str, Any]] = []
 
 
-def _begun(own: ArmSetup, rig: Rig) -> Answer:
-    """Begin anew by some cameras, in this process, which follows this arm alone."""
+def _answer(own: ArmSetup | None, *arguments: Any) -> Answer:
+    """Follow an arm by other cameras in this process, which follows this arm alone, or do a step of it without one.
+
+    Returns the result, or what was raised, with all else that there is to know.
+    """
     from dvrk_cmaes.live.follow import FollowedArm
 
-    if not _here:
+    if own is not None and not _here:
         _here.append(FollowedArm(replace(own, save=_found.append), _lines.append))
-    return _answer(_here[0].begin, rig)
-
-
-def _stepped(*arguments: Any) -> Answer:
-    """Do a step in this process."""
-    return _answer(_here[0].step, *arguments)
-
-
-def _answer(call: Callable[..., Any], *arguments: Any) -> Answer:
-    """Call a function of the arm; returns what it returned or raised, with all else that there is to know."""
+    found: TrackResult | Exception | None = None
     try:
-        found = call(*arguments)
+        if own is None:
+            found = _here[0].step(*arguments)
+        else:
+            _here[0].begin(*arguments)
     except Exception as error:
         found = error
-    answer = found if isinstance(found, (TrackResult, Exception)) else None, _here[0].state, (*_lines,), (*_found,)
+    answer = found, _here[0].state, (*_lines,), (*_found,)
     _lines.clear()
     _found.clear()
     return answer
@@ -83,12 +80,12 @@ class ArmProcess:
     def begin(self, rig: Rig) -> ArmProcess:
         """Follow anew, by these cameras."""
         self._rig = rig
-        self._taken(self._process.submit(_begun, self._own, rig))
+        self._taken(self._process.submit(_answer, self._own, rig))
         return self
 
     def start_step(self, *arguments: Any) -> Callable[[], Any]:
         """Begin `FollowedArm.step`, with its arguments; returns what waits for the result."""
-        return partial(self._taken, self._process.submit(_stepped, *arguments))
+        return partial(self._taken, self._process.submit(_answer, None, *arguments))
 
     def close(self) -> None:
         """End the process, whatever it is at."""
@@ -100,7 +97,7 @@ class ArmProcess:
             found, self.state, lines, calibrations = future.result()
         except (BrokenProcessPool, CancelledError):
             self._process.kill()
-            self._process.submit(_begun, self._own, self._rig)
+            self._process.submit(_answer, self._own, self._rig)
             raise DvrkCmaesError("the process of this arm died") from None
         for line in lines:
             self._report(line)

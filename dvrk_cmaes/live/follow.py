@@ -72,30 +72,6 @@ class LiveSetup:
     origin: int = 0
     process: Callable[[], Process] | None = None
 
-    def loop(
-        self,
-        inputs: Inputs,
-        connection: Connection,
-        report: Report,
-        stack: ExitStack,
-        show: Callable[[Callable[[], str]], None] = lambda text: None,
-    ) -> LiveLoop:
-        """Subscribe to the topics, and return the loop; what it uses is closed with the stack.
-
-        A line of one arm does not keep the same line of another from ``report``.
-        """
-        inputs.subscribe(connection)
-        arms, apart = [], self.process if len(self.arms) > 1 else None
-        for own in self.arms:
-            say = LogThrottle(report)
-            followed: FollowedArm | ArmProcess
-            followed = FollowedArm(own, say) if apart is None else ArmProcess(stack.enter_context(apart()), own, say)
-            stack.callback(followed.close)
-            drawn = own.body if self.overlay else None
-            outputs = Outputs(connection, own.names, own.body.instrument.root_link, drawn)
-            arms.append(LiveArm(own.names.arm, followed.begin, outputs, say, inputs.now, origin=self.origin))
-        return LiveLoop(arms, inputs, LogThrottle(report), rig=self.rig, show=show)
-
 
 class FollowedArm(ExitStack):
     """An arm that is followed in this process: its newest tracker, and the solution of its keyframes."""
@@ -166,8 +142,18 @@ def follow(
         Nothing to follow came before the end, or within ``begin_within`` s.
     """
     inputs = Inputs(setup.topics, LogThrottle(report), rectified=setup.rectified)
+    inputs.subscribe(connection)
+    arms, apart = list[LiveArm](), setup.process if len(setup.arms) > 1 else None
     with ExitStack() as stack:
-        loop = setup.loop(inputs, connection, report, stack, show)
+        for own in setup.arms:
+            say = LogThrottle(report)  # a line of one arm does not keep the same line of another
+            followed: FollowedArm | ArmProcess
+            followed = FollowedArm(own, say) if apart is None else ArmProcess(stack.enter_context(apart()), own, say)
+            stack.callback(followed.close)
+            drawn = own.body if setup.overlay else None
+            outputs = Outputs(connection, own.names, own.body.instrument.root_link, drawn)
+            arms.append(LiveArm(own.names.arm, followed.begin, outputs, say, inputs.now, origin=setup.origin))
+        loop = LiveLoop(arms, inputs, LogThrottle(report), rig=setup.rig, show=show)
         counts = loop.run(stop, begin_within=begin_within)
     if not loop.began:
         raise DvrkCmaesError(_what_to_check(setup, inputs, connection))
