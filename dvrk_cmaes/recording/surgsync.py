@@ -71,9 +71,9 @@ def read_times(path: Path, side: Side, arm: str | None) -> tuple[int, int, int]:
     if image is None:
         raise InputError(f"{path}: image_{side}_stamp: expected the image's time (sec, nsec), got none")
     of_arm = None if arm is None else _field(document, arm)
-    jaw = _field(of_arm, "jaw")
     taken = _time(str(path), of_arm, "measured_js_stamp", "measured_js") or image
-    return image, taken, _time(str(path), jaw, "measured_stamp", "measured_js_stamp", "measured_js") or taken
+    of_jaw = _time(str(path), _field(of_arm, "jaw"), "measured_stamp", "measured_js_stamp", "measured_js")
+    return image, taken, of_jaw or taken
 
 
 def read_positions(path: Path, joints: tuple[str, ...] = ()) -> dict[str, float]:
@@ -276,17 +276,21 @@ def open_surgsync(path: Path, asked: Asked) -> Recording:
     camera_bytes, source = camera_of_clip(path / _CAMERAS, asked)
     arms = [folder.name for folder in (path / "kinematic").iterdir() if folder.is_dir()]
     chosen = None if asked.joints is not None else chosen_arm(path, arms, asked.arm, "clip")
-    times = {number: read_times(path / "time_syn" / f"{number}.json", side, chosen) for number in images}
+
+    def times_of(arm: str | None) -> dict[int, tuple[int, int, int]]:
+        """Return the times of the images, and of an arm's readings and its jaw's, by frame."""
+        return {number: read_times(path / "time_syn" / f"{number}.json", side, arm) for number in images}
+
+    times, folder = times_of(chosen), path / "kinematic"
     notes = [f"images: image/{side}", f"camera: {source}", "times: those of the images in time_syn"]
     readings, said = asked.given_readings()
     notes += said
     if chosen is not None:
-        readings = _readings_of_clip(path / "kinematic" / chosen, times)
+        readings = _readings_of_clip(folder / chosen, times)
         notes += [f"{' '.join(series.joints)}: kinematic/{chosen}" for series in readings]
-        if (folder := path / "kinematic" / ECM).is_dir() and chosen != ECM:
+        if chosen != ECM and (folder / ECM).is_dir():
             try:
-                of_ecm = {number: read_times(path / "time_syn" / f"{number}.json", side, ECM) for number in images}
-                readings = (*readings, *_readings_of_clip(folder, of_ecm, ECM_JOINTS))
+                readings += _readings_of_clip(folder / ECM, times_of(ECM), ECM_JOINTS)
                 notes.append(f"{' '.join(ECM_JOINTS)}: kinematic/{ECM}")
             except InputError as error:
                 notes.append(f"the endoscope's arm is not read: {error}")

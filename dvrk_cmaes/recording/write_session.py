@@ -119,11 +119,9 @@ def write_session(
     DvrkCmaesError
         Writing fails, e.g. because the disk is full.
     """
-    tools: list[ToolEntry] = []
-    summaries: list[InterpolationSummary] = []
+    tools, summaries, said = list[ToolEntry](), list[InterpolationSummary](), list[str]()
     warnings: tuple[str, ...] = ()
-    names, times, size, apart = list[str](), list[int](), (0, 0), list[int]()
-    numbers, said = count(), list[str]()
+    names, times, size, apart, numbers = list[str](), list[int](), (0, 0), list[int](), count()
     seconds = 0.0 if lag is None or not recording.camera else lag.in_unit("s")
     if abs(seconds) > LARGEST_SECONDS:
         raise InputError(f"lag: expected at most {LARGEST_SECONDS:g} s in magnitude, got {seconds:g} s")
@@ -162,12 +160,12 @@ def write_session(
             except InputError as error:
                 warnings = (*warnings, f"the images do not fit the camera: {error}")
             write_text(folder / SESSION_FILE, session_toml(cameras, tools))
-    late = [f"readings of {seconds:g} s before each image"] if seconds else []
-    notes = (*recording.notes, *said, *late)
+    said += [f"readings of {seconds:g} s before each image"] if seconds else []
     if recording.right is not None:
         away = f"images at most {1e3 * max(apart) / NANOSECONDS:.1f} ms after or before those of the left"
-        notes = (*notes, f"right eye: {len(apart)} of {len(names)} frames, {away}")
-    return ImportSummary(out, next(numbers), len(names), size, tolerance, tuple(summaries), notes, seconds, warnings)
+        said.append(f"right eye: {len(apart)} of {len(names)} frames, {away}")
+    sources, notes = tuple(summaries), (*recording.notes, *said)
+    return ImportSummary(out, next(numbers), len(names), size, tolerance, sources, notes, seconds, warnings)
 
 
 def _selected(images: Iterator[RecordedImage], every: int, start: float, end: float) -> Iterator[RecordedImage]:
