@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 Readings = Sequence[tuple[float, Mapping[str, float]]]
 """Times, s, and readings of joints by name, rad (insertion: m)."""
 
+WAITING: Final = "waiting for images"
+LEFT_OUT: Final = "image left out"
 OLD: Final = 1.0
 """Age, s, from which on a pose is doubtful."""
 MOST_FAILURES: Final = 3
@@ -117,14 +119,14 @@ class LiveArm:
         self.poses += result.camera_from_root is not None and result.status != "lost"
         self.ok += result.status == "ok" and not doubts
         self._stated = self._now()
-        self.wait("waiting for images")
+        self.tell(WAITING)
         self.base_state = state
 
     def _fail(self, error: Exception) -> None:
         """Leave out a frame whose step failed, and begin anew after several in a row."""
         if isinstance(error, InputError):
             self._report(str(error))
-            self.leave_out(str(error))
+            self.tell(LEFT_OUT, str(error))
             return
         if isinstance(error, MemoryError):
             reason = "out of memory"
@@ -134,17 +136,13 @@ class LiveArm:
             reason = f"internal error: {where}: {one_line(error)}"
         self._failures += 1
         self._report(f"{reason}; the image is left out; after {MOST_FAILURES} in a row following begins anew")
-        self.leave_out(reason)
+        self.tell(LEFT_OUT, reason)
         if self._failures >= MOST_FAILURES:
             self.begin(self._rig)
 
-    def leave_out(self, reason: str) -> None:
-        """State why a frame is left out."""
-        self.state, self._reason = "image left out", reason
-
-    def wait(self, state: str) -> None:
-        """State what is waited for."""
-        self.state, self._reason = state, ""
+    def tell(self, state: str, reason: str = "") -> None:
+        """State what is waited for, or why a frame is left out."""
+        self.state, self._reason = state, reason
 
     def publish_if_due(self, silent: Sequence[str]) -> None:
         """Publish the state if nothing was published for a second."""

@@ -165,14 +165,6 @@ class LiveFrame:
         return Decoded(images, masks)
 
 
-@dataclass(eq=False)
-class _FrameParts:
-    """What has come of an eye's frame of one time: when first, and the fields by topic."""
-
-    received: float
-    fields: dict[str, Fields] = field(default_factory=dict)
-
-
 class Inputs:
     """Receives the messages of the topics; a message that is not valid is reported in one line and dropped.
 
@@ -210,7 +202,8 @@ class Inputs:
         self.rectified = rectified
         self._longest_silence = longest_silence
         self._infos: dict[str, Fields] = {}
-        self._parts: dict[str, dict[int, _FrameParts]] = {eye: {} for eye in topics.eyes}
+        # what has come of an eye by time: when first, and the fields by topic
+        self._parts: dict[str, dict[int, tuple[float, dict[str, Fields]]]] = {eye: {} for eye in topics.eyes}
         self._heard: dict[str, float] = {}
         self._began: float | None = None  # s, when silence was looked for first
         self._first: float | None = None  # s, when the first part of a frame came
@@ -268,12 +261,11 @@ class Inputs:
 
     def _on_part(self, eye: str, topic: str, fields: Fields) -> None:
         """Keep an image or a mask; where a frame has all of its parts, it is the newest one."""
-        stamp, now = read_stamp(topic, fields), self.now()
-        self._connection.ros1 = stamp.ros1
+        (time, self._connection.ros1), now = read_stamp(topic, fields), self.now()
         self._heard[topic] = now
         self._first = now if self._first is None else self._first
         of_eye = self._parts[eye]
-        of_eye.setdefault(stamp.time, _FrameParts(now)).fields[topic] = fields
+        of_eye.setdefault(time, (now, {}))[1][topic] = fields
         if len(of_eye) > _MOST_WAITING:
             del of_eye[next(iter(of_eye))]
         frame = self._whole_frame(now)
@@ -289,7 +281,7 @@ class Inputs:
                 topic for topic in eye.evidence if now - self._heard.get(topic, self._first) <= self._longest_silence
             }
             if needed:
-                whole[name] = [time for time, parts in self._parts[name].items() if needed <= parts.fields.keys()]
+                whole[name] = [time for time, (_, fields) in self._parts[name].items() if needed <= fields.keys()]
         if not whole:
             return None
         reference, *others = whole
@@ -305,8 +297,8 @@ class Inputs:
         for name, of_eye in self._parts.items():
             for time in [time for time in of_eye if time <= times.get(name, first)]:
                 del of_eye[time]
-        received = min(one.received for one in parts.values())
-        return LiveFrame(first, self.topics, received, {eye: one.fields for eye, one in parts.items()})
+        received = min(first_came for first_came, _ in parts.values())
+        return LiveFrame(first, self.topics, received, {eye: fields for eye, (_, fields) in parts.items()})
 
     def _on_joints(self, topic: str, mailboxes: Sequence[Mailbox[JointMessage]], fields: Fields) -> None:
         """Give readings to the arms they are of; whole ones of the endoscope's arm to all, with their own."""

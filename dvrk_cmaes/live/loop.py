@@ -17,7 +17,7 @@ import numpy as np
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.images import match_size
-from dvrk_cmaes.live.arm import OLD, LiveArm
+from dvrk_cmaes.live.arm import LEFT_OUT, OLD, WAITING, LiveArm
 from dvrk_cmaes.live.connection import Report
 from dvrk_cmaes.live.inputs import Decoded, Inputs, LiveFrame
 from dvrk_cmaes.live.stamps import Ages, ImageTimes
@@ -131,7 +131,7 @@ class LiveLoop:
         for remark in rig.remarks:
             self._report(f"warning: {remark}")
         for arm in self._arms:
-            arm.wait("waiting for images")
+            arm.tell(WAITING)
 
     def _take(self, frame: LiveFrame, stated: Rig, silent: tuple[str, ...]) -> None:
         """Follow a frame, or leave it out for one of the reasons of this module's description."""
@@ -179,7 +179,7 @@ class LiveLoop:
         """Count a frame that is left out."""
         self.counts.refused += 1
         for arm in self._arms:
-            arm.leave_out(reason)
+            arm.tell(LEFT_OUT, reason)
 
     def _fit(self, sizes: Sizes, stated: Rig, topic: str) -> None:
         """Begin to follow, where the cameras or the size of the images are others than before.

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple, get_args
+from typing import Annotated, Any, get_args
 
 import cv2
 import numpy as np
@@ -59,13 +59,6 @@ class _JointState(_Stamped):
     name: Texts = ()
 
 
-class Stamp(NamedTuple):
-    """Time of a message, ns, and whether it is written as in ROS 1."""
-
-    time: int
-    ros1: bool
-
-
 @dataclass(frozen=True)
 class JointMessage:
     """Readings of a JointState at its time, ns: joints by name, rad, or m for ``insertion``; and their topic."""
@@ -75,14 +68,14 @@ class JointMessage:
     topic: str = ""
 
 
-def read_stamp(where: str, fields: Mapping[str, Any]) -> Stamp:
-    """Read the time in a message's header."""
+def read_stamp(where: str, fields: Mapping[str, Any]) -> tuple[int, bool]:
+    """Read the time in a message's header, ns, and whether it is written as in ROS 1."""
     stamp = convert_document(where, fields, _Stamped).header.stamp
     for ros1, (seconds, rest) in enumerate(_STAMPS):
         if seconds in stamp and rest in stamp:
             if not (abs(stamp[seconds]) < _MOST_SECONDS and 0 <= stamp[rest] < NANOSECONDS):
                 break
-            return Stamp(stamp[seconds] * NANOSECONDS + stamp[rest], bool(ros1))
+            return stamp[seconds] * NANOSECONDS + stamp[rest], bool(ros1)
     raise InputError(f"{where}: header.stamp: expected sec and nanosec, or secs and nsecs, got {shown(stamp)}")
 
 
@@ -103,7 +96,7 @@ def read_joint_message(where: str, fields: Mapping[str, Any]) -> JointMessage:
     message = convert_document(where, fields, _JointState)
     places = joint_places(message, where)
     joints = {name: joint_reading(where, name, message.position[place]) for name, place in places.items()}
-    return JointMessage(read_stamp(where, fields).time, joints, where)
+    return JointMessage(read_stamp(where, fields)[0], joints, where)
 
 
 def read_rig(infos: Mapping[str, Mapping[str, Any]], *, rectified: bool = False) -> Rig:

@@ -91,9 +91,8 @@ class Outputs:
             "remarks": "; ".join(result.remarks),
             "age_ms": f"{1e3 * age:.1f}",
             "silent_topics": " ".join(silent),
+            **({"calibration": calibration} if calibration else {}),
         }
-        if calibration:
-            values["calibration"] = calibration
         level = max(_LEVELS.get(status, 2), 1 if silent else 0)
         messages = [*self._found(time, result, status), self._status_message(time, level, status, values)]
         if image is not None and self._renderer is not None:

@@ -158,9 +158,8 @@ class ReadingBuffer:
             values = np.column_stack([np.interp(times, *recent[name]) for name in OUTER_JOINTS])
             still = _is_still(times, values, time, max(self._still, _STILL_SPACINGS * _usual_spacing(times)))
             sparse = None if np.isnan(row[:outer]).any() else Sparseness.of(times, values, time)
-        ecm = None
-        if self._read.keys() >= set(ECM_JOINTS):
-            ecm = np.array([np.interp(time, *self._read[name]) for name in ECM_JOINTS])
+        of_ecm = ECM_JOINTS if self._read.keys() >= set(ECM_JOINTS) else ()
+        ecm = np.array([np.interp(time, *self._read[name]) for name in of_ecm]) if of_ecm else None
         return ReadingAt(row[:outer], row[outer:], rate[:outer], rate[outer:], still, sparse, ecm)
 
     def _recent(self) -> dict[str, tuple[Float64, Float64]]:

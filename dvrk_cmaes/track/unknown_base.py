@@ -16,7 +16,6 @@ from dvrk_cmaes.calibration.blocks import BASE_AXES, OUTER_OFFSETS
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.model import SessionModel, offset_deviations
 from dvrk_cmaes.calibration.prediction import FoundLag
-from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.geometry import Float64, Posed, inverse
@@ -166,11 +165,10 @@ class UnknownBase:
         found, self._found = self._found.result(), None
         if found is None or found.camera_from_root is None or found.covariance is None:
             return images
-        pixel_scale = self.given.rig.views[0].camera.pixel_scale
-        if self._last is None or _explains(found, self.given.config.trust, pixel_scale):
-            self.start(began.time, found, began.seen, widened=_OWN_ERROR)
-            return self._images
-        return images
+        if self._last is not None and not _explains(found, self.given):
+            return images
+        self.start(began.time, found, began.seen, widened=_OWN_ERROR)
+        return self._images
 
     def _follow(self, image: _Image, calibration: SessionCalibration | None) -> TrackResult:
         """Follow the pose to an image; where images do not support it for some time, one is searched."""
@@ -213,13 +211,13 @@ def _solved(image: _Image, given: Followed, calibration: SessionCalibration | No
         return None
 
 
-def _explains(result: Result, trust: TrustConfig, pixel_scale: float) -> bool:
+def _explains(result: Result, given: Followed) -> bool:
     """Whether the pose of a single frame explains its mask, whatever the readings say."""
-    quality = result.quality
+    quality, trust, scale = result.quality, given.config.trust, given.rig.camera.pixel_scale
     return quality is not None and not reasons(
         overlap_too_low(quality, trust.least_iou),
-        wrist_or_jaws_off(quality, trust.largest_distal_px * pixel_scale),
-        mask_cut_straight(quality, trust.largest_bend_px * pixel_scale),
+        wrist_or_jaws_off(quality, trust.largest_distal_px * scale),
+        mask_cut_straight(quality, trust.largest_bend_px * scale),
     )
 
 
