@@ -16,7 +16,7 @@ from dvrk_cmaes.live.messages import JointMessage
 from dvrk_cmaes.live.outputs import Outputs
 from dvrk_cmaes.live.stamps import LONGEST_GAP
 from dvrk_cmaes.pose.doubts import image_old, reasons
-from dvrk_cmaes.results.tracked import TrackResult
+from dvrk_cmaes.results.tracked import TrackResult, doubted
 
 if TYPE_CHECKING:
     from dvrk_cmaes.live.arm_process import ArmProcess
@@ -112,12 +112,10 @@ class LiveArm:
     def _publish(self, result: TrackResult, age: Callable[[], float], silent: Sequence[str]) -> None:
         frame, image = self._frame, next(iter(self._arrays.images.values()), None)
         state, old = self._tracker.state, age()
-        doubts = reasons(image_old(old, OLD))
-        self.published += self._outputs.publish(
-            frame.time, result, age=old, doubts=doubts, silent=silent, image=image, calibration=state
-        )
+        result = doubted(result, reasons(image_old(old, OLD)))
+        self.published += self._outputs.publish(frame.time, result, old, silent, image, state)
         self.poses += result.camera_from_root is not None and result.status != "lost"
-        self.ok += result.status == "ok" and not doubts
+        self.ok += result.status == "ok"
         self._stated = self._now()
         self.tell(WAITING)
         self.base_state = state

@@ -189,9 +189,8 @@ class LiveLoop:
         InputError
             The images are of another aspect than the camera's.
         """
-        now = {view.name: (view.camera.height, view.camera.width) for view in (self._rig or stated).views}
-        same = all(now[eye] == size for eye, size in sizes.items())
-        if self._rig is not None and same:
+        now = {view.name: (view.camera.height, view.camera.width) for view in self._rig.views} if self._rig else {}
+        if now and all(now[eye] == size for eye, size in sizes.items()):
             return
         try:
             what = f"image of {topic}"

@@ -15,8 +15,6 @@ from dataclasses import replace
 from typing import Any, Final
 
 import cv2
-import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.draw.canvas import Canvas
@@ -30,6 +28,7 @@ from dvrk_cmaes.export.ros_messages import (
     uncertain_pose_message,
 )
 from dvrk_cmaes.export.ros_topics import FOUND
+from dvrk_cmaes.geometry import Image
 from dvrk_cmaes.live.connection import Connection
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -69,36 +68,25 @@ class Outputs:
         self._renderer = None if self.drawn is None else Renderer(self.drawn, rig.camera, threads=1)
 
     def publish(
-        self,
-        time: int,
-        result: TrackResult,
-        *,
-        age: float = 0.0,
-        doubts: Sequence[str] = (),
-        silent: Sequence[str] = (),
-        image: NDArray[np.uint8] | None = None,
-        calibration: str = "",
+        self, time: int, result: TrackResult, age: float, silent: Sequence[str], image: Image | None, calibration: str
     ) -> bool:
         """Publish the result of the image of a time, ns; returns whether everything was sent.
 
-        ``age`` is that of the image, s, and ``doubts`` are reasons why a pose is not
-        ok that its tracker does not know. ``silent`` are topics that have stopped; ``image`` is (H, W, 3), BGR, if an
+        ``age`` is that of the image, s. ``silent`` are topics that have stopped; ``image`` is (H, W, 3), BGR, if an
         overlay is drawn over it. ``calibration`` says how far the arm's base is known.
         """
-        status = "doubtful" if doubts and result.status == "ok" else result.status
         values = {
-            "reasons": "; ".join((*result.reasons, *doubts)),
+            "reasons": "; ".join(result.reasons),
             "remarks": "; ".join(result.remarks),
             "age_ms": f"{1e3 * age:.1f}",
             "silent_topics": " ".join(silent),
             **({"calibration": calibration} if calibration else {}),
         }
-        level = max(_LEVELS.get(status, 2), 1 if silent else 0)
-        messages = [*self._found(time, result, status), self._status_message(time, level, status, values)]
+        level = max(_LEVELS.get(result.status, 2), 1 if silent else 0)
+        messages = [*self._found(time, result), self._status_message(time, level, result.status, values)]
         if image is not None and self._renderer is not None:
             messages.append(self._overlay(time, image, replace(result, renderer=self._renderer), calibration))
-        sent = [self._send(message) for message in messages]
-        return all(sent)
+        return sum(map(self._send, messages)) == len(messages)
 
     def publish_state(self, state: str, reason: str, silent: Sequence[str]) -> bool:
         """Publish a status without a result: why there is no pose now; returns whether it was sent."""
@@ -110,7 +98,7 @@ class Outputs:
         fields = _as_ros1(message.fields) if self._connection.ros1 else message.fields
         return self._connection.publish(message.topic, fields)
 
-    def _found(self, time: int, result: TrackResult, status: str) -> Iterator[RosMessage]:
+    def _found(self, time: int, result: TrackResult) -> Iterator[RosMessage]:
         """Yield the messages of a pose and joints that were found."""
         pose = result.camera_from_root
         if pose is None or result.status == "lost":
@@ -118,7 +106,7 @@ class Outputs:
         topic, covariance = f"{self._namespace}/camera_from_root", result.covariance_in_camera()
         yield uncertain_pose_message(topic, time, self._names.camera, pose, covariance)
         children = {(self._names.camera, self._child): pose}
-        if status == "ok" and result.camera_from_base is not None:
+        if result.status == "ok" and result.camera_from_base is not None:
             children[self._names.camera, self._names.base] = result.camera_from_base
         yield tf_message(time, children)
         if result.joints:
@@ -135,7 +123,7 @@ class Outputs:
         }
         return RosMessage("/diagnostics", _DIAGNOSTICS, time, {"header": header(time), "status": [status]})
 
-    def _overlay(self, time: int, image: NDArray[np.uint8], result: TrackResult, state: str) -> RosMessage:
+    def _overlay(self, time: int, image: Image, result: TrackResult, state: str) -> RosMessage:
         """Return the message of an image with the outline of a silhouette, the status and ``state``, a JPEG."""
         canvas = Canvas(result.overlay(image), 1.0)
         for line, text in enumerate((": ".join([result.status, *result.reasons[:1]]), state)):
