@@ -44,6 +44,7 @@ class Mesh:
         to_pixel: bool,
         threads: int,
         trace: Callable[..., NDArray[numpy.bool_]] | None,
+        part: Sequence[int] | None = None,
     ) -> NDArray[numpy.float64]: ...
     def masks(
         self,

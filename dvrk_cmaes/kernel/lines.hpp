@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <limits>
 #include <vector>
 
 #include "outline.hpp"
@@ -41,6 +42,7 @@ struct Crossing {
 };
 
 constexpr int kMostLines = 1 << 16;
+constexpr Index kAllPieces = std::numeric_limits<Index>::max();
 
 class Lines {
  public:
@@ -75,12 +77,12 @@ class Lines {
     begin[count] = static_cast<Index>(next - crossings.data());
   }
 
-  // Decide by the layer count what is covered.
-  void count_layers() {
+  // Decide by the layer count what is covered, by the pieces from `first` to before `last` alone.
+  void count_layers(Index first = 0, Index last = kAllPieces) {
     for (int line = 0; line < grid.count(); ++line) {
       int layers = 0;
       for (Index i = begin[line]; i < begin[line + 1]; ++i) {
-        layers += crossings[i].change;
+        if (crossings[i].piece >= first && crossings[i].piece < last) layers += crossings[i].change;
         crossings[i].covered = layers > 0;
       }
     }

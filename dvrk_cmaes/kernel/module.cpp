@@ -340,17 +340,25 @@ constexpr double kNegligible = 1.0 / 16;              // px
 constexpr double kBend = 0.004, kExactBend = 0.0005;  // px; the latter where whole pixels are asked for
 
 Made<double> sums(const Mesh& mesh, const Camera& camera, const Given<double>& links, const Given<double>& table,
-                  int lines_per_pixel, bool to_pixel, std::size_t threads, const Trace& trace) {
+                  int lines_per_pixel, bool to_pixel, std::size_t threads, const Trace& trace,
+                  const std::optional<std::array<int, 2>>& part) {
   check_shape("table", table, {camera.height, camera.width + 1, kAny});
+  if (part && (trace || (*part)[0] < 0)) throw std::invalid_argument("part: expected links, and no rays");
   const Drawing drawing{mesh,  camera,   links,      lines_per_pixel, threads, trace, to_pixel ? kExactBend : kBend,
                         false, to_pixel, kNegligible};
   drawing.check();
   const std::size_t images = table.shape(2);
-  Made<double> out = zeros<double>({drawing.poses(), images});
-  drawing.each([&](Workspace&, const Drawn& at, std::size_t pose) {
-    double* sum = out.data() + images * pose;
-    add_sums(at.rows, table.data(), static_cast<int>(images), to_pixel, sum);
-    for (std::size_t k = 0; k < images; ++k) sum[k] /= lines_per_pixel;
+  Made<double> out = zeros<double>({part ? std::size_t(2) : 1, drawing.poses(), images});
+  drawing.each([&](Workspace& own, const Drawn& at, std::size_t pose) {
+    const auto add = [&](std::size_t place) {
+      double* sum = out.data() + images * (drawing.poses() * place + pose);
+      add_sums(at.rows, table.data(), static_cast<int>(images), to_pixel, sum);
+      for (std::size_t k = 0; k < images; ++k) sum[k] /= lines_per_pixel;
+    };
+    add(0);
+    if (!part) return;
+    own.drawn.rows.count_layers(at.outline.first_piece((*part)[0]), at.outline.first_piece((*part)[1]));
+    add(1);
   });
   return out;
 }
@@ -993,7 +1001,9 @@ NB_MODULE(_kernel, module) {
       .def_prop_ro(
           "edges", [](const Mesh& mesh) { return mesh.edges.size(); }, "Number of edges.")
       .def("sums", &sums, "camera"_a, "camera_from_link"_a, "table"_a, "lines_per_pixel"_a, "to_pixel"_a, "threads"_a,
-           "trace"_a.none(), "Sum K images, by their prefix sums (H, W + 1, K), over C silhouettes: (C, K).")
+           "trace"_a.none(), "part"_a = nb::none(),
+           "Sum K images, by their prefix sums (H, W + 1, K), over C silhouettes, and over those of the links from one to "
+           "before another one, where these are given: (1 or 2, C, K).")
       .def("masks", &masks, "camera"_a, "camera_from_link"_a, "threads"_a, "trace"_a.none(),
            "Find the pixels whose centres are covered in C poses: (C, H, W).")
       .def("coverage", &coverage, "camera"_a, "camera_from_link"_a, "lines_per_pixel"_a, "threads"_a, "trace"_a.none(),

@@ -55,6 +55,11 @@ class Outline {
     return link;
   }
 
+  // The number of the first piece of a link, or of the end.
+  Index first_piece(int link) const {
+    return static_cast<Index>(link < static_cast<int>(begin_.size()) ? begin_[link] : pieces.size());
+  }
+
   // Whether a piece lies in the near plane, where it cuts a face.
   bool on_near_plane(const Piece& piece) const { return piece.chord < 0 && cuts_[~piece.chord].on_near_plane; }
 

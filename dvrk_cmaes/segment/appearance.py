@@ -38,6 +38,7 @@ _UNLIKE: Final = 0.3  # separation of wrist and jaws from the shaft, from which 
 _BEYOND: Final = 0.008  # m along the shaft, by which the instrument is moved to see what is beyond its tip
 _THICK: Final = 1.5  # px from the rim of what differs from a background, beyond which pixels count less
 _SMOOTHING: Final = 2.0  # pixels added to the bins of each histogram, as the whole picture has them
+_SHAFT: Final = 0, 1  # the root link among all links
 _LEAST: Final = 1.5, 0.8, 6.0, 4.0
 """Pixels whose histograms count fully, of the shaft and of wrist and jaws, in squared widths of the shaft; and pixels
 along the outline of all and of wrist and jaws, whose edges count fully, in widths."""
@@ -84,35 +85,35 @@ class Appearance:
         self._edges = PixelSums.of(np.stack([edges, counts.astype(np.float32)]))
         self._whole = channels.sum(axis=(1, 2)) / max(float(counts.sum()), 1.0)
         self._longer = max(counts.shape)
-        drawn, outlined = (tuple(Renderer(each, camera, threads=1) for each in kind) for kind in _bodies(body))
-        self._wide, self._wide_shaft, self._all, self._shaft = drawn
-        self._bounds = outlined
+        drawn = [Renderer(each, camera, threads=1) for each in _bodies(body)]
+        self._wide, self._all, *self._bounds = drawn
+        self._distal = 1, len(body.instrument.links)
 
     def scores(self, at: Posed) -> Scores:
         """Measure C candidates."""
-        drawn = self._all.sums(at.pose, at.joints, self._bins, to_pixel=True)
-        whole, at_border, before = drawn[:, :-2], drawn[:, -2], drawn[:, -1]
-        shaft, wide, wide_shaft = (
-            renderer.sums(at.pose, at.joints, self._bins, to_pixel=True)[:, :-2]
-            for renderer in (self._shaft, self._wide, self._wide_shaft)
-        )
+        drawn, of_root = self._all.sums(at.pose, at.joints, self._bins, to_pixel=True, part=_SHAFT)
+        whole, at_border, before, shaft = drawn[:, :-2], drawn[:, -2], drawn[:, -1], of_root[:, :-2]
+        wide, wide_shaft = self._wide.sums(at.pose, at.joints, self._bins, to_pixel=True, part=_SHAFT)[:, :, :-2]
         distal = np.maximum(whole - shaft, 0)
         around_shaft = np.maximum(wide_shaft - shaft - distal, 0)
         around_distal = np.maximum(wide - wide_shaft - distal, 0)
         moved = at.pose.copy()
         moved[:, :3, 3] += _BEYOND * moved[:, :3, 2]
         beyond = np.maximum(self._all.sums(moved, at.joints, self._bins, to_pixel=True)[:, :-2] - whole, 0)
-        outlines = [renderer.sums(at.pose, at.joints, self._edges) for renderer in self._bounds]
+        beyond_edge, within_edge = (
+            each.sums(at.pose, at.joints, self._edges, part=self._distal) for each in self._bounds
+        )
+        of_edge, of_distal_edge = beyond_edge - within_edge
         width = 2 * self._radius * self._focal / np.maximum(at.pose[:, 2, 3], 1e-3)
         few = _LEAST[1] * width**2
         of_shaft = self._separation(shaft, around_shaft, _LEAST[0] * width**2)
         of_distal = self._separation(distal, around_distal, np.minimum(few, around_distal.sum(axis=1)))
-        edges = _mean(outlines[0] - outlines[1], _LEAST[2] * width)
+        edges = _mean(of_edge, _LEAST[2] * width)
         ending = self._separation(distal, beyond, np.minimum(few, beyond.sum(axis=1)))
         parts = (
             np.sqrt(of_shaft * of_distal),
             edges,
-            _mean(outlines[2] - outlines[3], _LEAST[3] * width),
+            _mean(of_distal_edge, _LEAST[3] * width),
             ending,
             np.minimum(self._separation(distal, shaft, few) / _UNLIKE, 1),
             np.minimum(at_border / np.maximum(width, 1), 1),
@@ -175,18 +176,9 @@ def edge_scores(image: Image, counts: Bool) -> Float32:
 
 
 @lru_cache(maxsize=8)
-def _bodies(body: Body) -> tuple[list[Body], list[Body]]:
-    """Return what is drawn, and what bounds outlines.
-
-    These are all and the root link, wider by the band, then both as they are; and all, and wrist and jaws, each a
-    little wider and a little narrower.
-    """
-    instrument = body.instrument
-    root = replace(instrument, links=instrument.links[:1], link_joints=instrument.link_joints[:1])
-    distal = replace(instrument, links=instrument.links[1:], link_joints=instrument.link_joints[1:])
-    drawn = [_widened(each, by) for by in (_BAND, 0.0) for each in (instrument, root)]
-    outlined = [_widened(each, by) for each in (instrument, distal) for by in (_THIN, -_THIN)]
-    return [Body(each) for each in drawn], [Body(each) for each in outlined]
+def _bodies(body: Body) -> list[Body]:
+    """Return a body that is wider by the band, as it is, a little wider and a little narrower."""
+    return [Body(_widened(body.instrument, by)) for by in (_BAND, 0.0, _THIN, -_THIN)]
 
 
 def _widened(instrument: Instrument, by: float) -> Instrument:

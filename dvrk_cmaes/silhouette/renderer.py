@@ -208,6 +208,7 @@ class Renderer:
         *,
         lines_per_pixel: int = 1,
         to_pixel: bool = False,
+        part: tuple[int, int] | None = None,
     ) -> Float64:
         """Sum K images over the silhouettes of C poses, (C, K), without rendering an image.
 
@@ -226,13 +227,17 @@ class Renderer:
             Lines of the image along which edges are found, for each row of pixels.
         to_pixel
             Whether to sum over whole pixels instead of integrating over areas.
+        part
+            Links, from one to before another one, by whose silhouettes images are summed, too: (2, C, K), those of all
+            links first; of a body that is drawn without rays.
         """
         camera, mesh = kernel_camera(self.camera), self.body.mesh
 
         def add(links: Float64) -> Float64:
-            return mesh.sums(camera, links, images.table, lines_per_pixel, to_pixel, self.threads, self._trace)
+            return mesh.sums(camera, links, images.table, lines_per_pixel, to_pixel, self.threads, self._trace, part)
 
-        return _joined(self._in_batches(camera_from_root, joints, add, _SUMMED))
+        found = np.concatenate(self._in_batches(camera_from_root, joints, add, _SUMMED), axis=1)
+        return found if part is not None else found[0]
 
     def coverage(self, camera_from_root: Float64, joints: Joints, *, lines_per_pixel: int = 4) -> Float32:
         """Render antialiased silhouettes of C poses: the covered fraction of each pixel, (C, H, W).
