@@ -50,7 +50,8 @@ class TopicOptions:
     Parameters
     ----------
     image_topic
-        Topic of the images (sensor_msgs/Image or CompressedImage). By default the only one of these types.
+        Topic of the images (sensor_msgs/Image or CompressedImage), or none to import readings alone. By default the
+        only one of these types.
     image_topic_right
         Topic of the images of the right eye, with --side both. By default the only one with right in its name.
     camera_topic

@@ -15,12 +15,16 @@ _ADDED = re.compile(
     rf"^(?:mask|label|seg)s?[_-]|[_-](?:mask|label|seg|gt|segmentation(?:mask)?)s?$|\.(?:png|jpe?g|bmp|tiff?)$|{ROBOFLOW.pattern}",
     re.IGNORECASE,
 )
+_TASK = re.compile(
+    r"task-(\d+)-annotation-"
+)  # of Label Studio: counts images as they were given to it, in all projects
 
 
 def paired(names: Iterable[str], others: Iterable[str]) -> dict[str, str]:
     """Pair names with others: equal ones, else those equal without an annotator's words, else those of equal numbers.
 
-    Where there are as many of either, one counted from 0 and the other from 1, they are paired in order.
+    Where there are as many of either, one counted from 0 and the other from 1, or one Label Studio's tasks, they are
+    paired in order.
 
     Parameters
     ----------
@@ -48,12 +52,17 @@ def paired(names: Iterable[str], others: Iterable[str]) -> dict[str, str]:
 
 
 def counted_apart(names: Collection[str], others: Collection[str]) -> bool:
-    """Whether there are as many names as others, at least three, and one are counted from 0, the others from 1."""
-    if len(names) != len(others) or len(names) < 3:  # readings may have millions of rows
+    """Whether as many names as others are paired in order.
+
+    Of at least three, one are counted from 0, the others from 1; or one are Label Studio's tasks, with one mask each.
+    """
+    if len(names) != len(others):  # readings may have millions of rows
         return False
     numbers, theirs = (sorted(map(_counted, of_either)) for of_either in (names, others))
+    if all(map(_TASK.match, names)) != all(map(_TASK.match, others)):
+        return len({*numbers}) == len({*theirs}) == len(names)
     counts = [*range(len(numbers))], [*range(1, len(numbers) + 1)]
-    return (numbers, theirs) in (counts, counts[::-1])
+    return len(names) >= 3 and (numbers, theirs) in (counts, counts[::-1])
 
 
 def with_names_of(
@@ -98,13 +107,14 @@ def _without_words(name: str) -> str:
 
 
 def _number(name: str) -> int | None:
-    """Return the number that a name ends in without an annotator's words; None if it does not."""
-    return number_of(_without_words(name))
+    """Return the number that a name ends in without an annotator's words; None if it does not, or if it is a task's."""
+    return None if _TASK.match(name) else number_of(_without_words(name))
 
 
 def _counted(name: str) -> int:
-    """Return the number that a name ends in, as of `_number`; -1 if it does not."""
-    return -1 if (number := _number(name)) is None else number
+    """Return the number of a task, or that a name ends in, as of `_number`; -1 if it does not."""
+    number = int(task[1]) if (task := _TASK.match(name)) else _number(name)
+    return -1 if number is None else number
 
 
 def _unique(key: Callable[[str], Hashable], names: Iterable[str]) -> dict[Hashable, str]:

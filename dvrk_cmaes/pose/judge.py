@@ -212,7 +212,10 @@ def outside_image(points: Float64, camera: Camera) -> Bool:
 
 
 def jaw_end_missing(view: FrameView, at: Posed) -> bool:
-    """Return whether the mask of a view shows nothing where a pose has the end of a jaw, inside the image."""
+    """Return whether the mask of a view shows nothing where the silhouette of a pose has the end of a jaw.
+
+    Jaws that are curved or have openings, such as a ProGrasp's, may have nothing there either.
+    """
     instrument, evidence, seen = view.renderer.body.instrument, view.evidence, at.seen_from(view.view_from_camera)
     if not instrument.jaw_tips or not instrument.hinges:
         return False
@@ -220,7 +223,7 @@ def jaw_end_missing(view: FrameView, at: Posed) -> bool:
     points = apply(seen.pose, hinge + _END * (instrument.tips(seen.joints) - hinge))
     inside = points[~outside_image(points, evidence.camera)]
     u, v = np.rint(evidence.camera.project(inside)).astype(int).T
-    return bool((~evidence.mask[v, u] & (evidence.weight[v, u] > 0)).any())
+    return bool((view.silhouette(at)[v, u] & ~evidence.mask[v, u] & (evidence.weight[v, u] > 0)).any())
 
 
 def _mirrored_overlap(at: Posed, check: ViewCheck, view: FrameView) -> float:

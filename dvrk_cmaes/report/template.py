@@ -25,6 +25,7 @@ from dvrk_cmaes.draw.canvas import without_strips
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.io.csv_file import Table
+from dvrk_cmaes.io.files import bundled_path
 from dvrk_cmaes.io.output import write_bytes
 from dvrk_cmaes.report.curves import Chart, anchor, chart_svg
 
@@ -130,10 +131,7 @@ def write(path: Path, page: Page) -> Path:
 
 def rendered(page: Page) -> str:
     """Return a page as HTML."""
-    style, script = ((_TEMPLATES / name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
-    return _template().render(
-        page=page, style=style, script=script, style_hash=_hash(style), script_hash=_hash(script), anchor=anchor
-    )
+    return _template().render(page=page)
 
 
 @cache
@@ -145,7 +143,19 @@ def _template() -> jinja2.Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    style, script = ((_TEMPLATES / name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
+    hashes = {"style_hash": _hash(style), "script_hash": _hash(script)}
+    made.globals |= {"style": style, "script": script, **hashes, "anchor": anchor, "remedy": remedy}
     return made.get_template("page.html")
+
+
+def remedy(reason: str) -> str:
+    """Return what to do about a kind of reason, as the reference page on problems says it; empty if it does not."""
+    text = bundled_path("reference", "problems.md").read_text(encoding="utf-8")
+    for names, what in re.findall(r"^\| (`.*?) \|.*\| (.*?) \|$", text, re.MULTILINE):
+        if reason.startswith(tuple(re.findall(r"`(.+?)(?::.*?)?`", names))):
+            return re.sub(r"`|\[|\]\([^)]*\)", "", what)
+    return ""
 
 
 def _hash(text: str) -> str:

@@ -21,8 +21,8 @@ from dvrk_cmaes.report.template import Entry, KeyFigure, Page, Part, Picture, Pl
 from dvrk_cmaes.results.tracked import TrackView
 
 PAGE: Final = "report.html"
-MOST_PICTURES: Final = 240
-_WIDTH: Final = 320  # px, of a picture of a view
+MOST_PICTURES: Final = 160
+_WIDTH: Final = 640  # px, of a picture of a view
 _QUALITY: Final = 35  # of WebP
 _STATUSES: Final = ("ok", "doubtful", "lost")
 _MOST_EVENTS: Final = 200

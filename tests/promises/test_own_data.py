@@ -161,6 +161,7 @@ def demo_as(folder: Path, mask: str, image: str = "{:04d}.jpg", row: str = "{:04
         ("001/{:05d}.png", "{:04d}.jpg", "{}"),
         ("SegmentationClass/frame_{:06d}.PNG", "frame{}.JPG", "{:04d}"),
         ("left_{}.png", "clip_7_{:05d}.jpg", "{:04d}"),
+        ("task-9{}-annotation-7-by-1-tag-needle_driver-0.png", "{:04d}.jpg", "{:04d}"),  # of Label Studio, in order
     ],
 )
 def test_masks_images_and_rows_of_one_frame_are_found_by_their_numbers(
@@ -180,7 +181,8 @@ def test_masks_that_pair_with_no_image_are_named_and_two_of_one_image_refused(tm
     mask = (folder / "masks" / "0000.png").read_bytes()
     (folder / "masks" / "other_77.png").write_bytes(mask)
     assert "masks without an image or a row of readings: other_77" in run("inspect", folder).out
-    (folder / "masks" / "3.png").write_bytes(mask)
+    (folder / "masks" / "3.png").write_bytes(mask)  # a task's mask beside them is not that of the number 0
+    (folder / "masks" / "other_77.png").rename(folder / "masks" / "task-2-annotation-9-by-1-tag-x-0.png")
     assert "3.png: expected one mask for image 0003, got several" in run("inspect", folder).refusal
 
 

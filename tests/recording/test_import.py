@@ -140,6 +140,13 @@ def test_frames_without_near_readings_are_counted(imported: Import, tmp_path: Pa
     assert read_session("session").frames[1].readings.keys() == {"jaw"}
 
 
+def test_readings_are_imported_alone_where_no_topic_of_images_is_asked_for(imported: Import, tmp_path: Path) -> None:
+    summary = imported(write_bag(tmp_path / "bag", "mcap", good()), "--image-topic", "none")
+    assert "images: none, readings only" in summary["notes"]
+    assert not any(path.is_dir() or "camera" in path.name for path in Path("session").iterdir())
+    assert [float(row["jaw"]) for row in rows("joints.csv") if row["jaw"]]
+
+
 @pytest.mark.parametrize(
     ("encoding", "stored", "seen"),
     [
