@@ -395,7 +395,9 @@ def _inspect_video(path: Path) -> Finding:
     folder = path.parent
     own = [folder / name for name in ("camera.yaml", "joints.csv")]
     missing = [file.name for file in own if not file.is_file()]
-    masks = [word for name in ("masks", "labels") if (folder / name).is_dir() for word in ("--masks", folder / name)]
+    places = [folder / name for name in ("masks", "labels") if (folder / name).is_dir()]
+    places += [file for file in folder.glob("*mask*") if file.suffix.lower() in SUFFIXES and file != path]
+    masks = [word for place in places for word in ("--masks", place)]
     if missing or masks:
         camera, joints = (file.name if file.name in missing else file for file in own)
         words = ("import", path, "--camera", camera, "--joints", joints, *masks[:2], "--out", "session")
@@ -414,7 +416,8 @@ def _inspect_folder(path: Path, options: Options) -> Finding:
         words = ("import", path, "--episode", 0, "--camera", "camera.yaml", "--out", "session")
         return Finding("LeRobot data set", (_next_command(*words), "no camera file: --camera is needed"))
     pictures = [p for p in sorted(path.iterdir()) if p.suffix.lower() in _PICTURES and not p.name.startswith(".")]
-    videos = [file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and file.name != "video.mp4"]
+    films = [file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and file.name != "video.mp4"]
+    videos = [file for file in films if "mask" not in file.stem.lower()]  # which one may be of masks
     if len(videos) == 1 and not pictures and not (path / "images").exists():
         return _inspect_video(videos[0])
     subfolders = any((path / name).exists() for name in ("masks", "images", "session.toml", "camera.yaml"))
@@ -449,15 +452,9 @@ def _inspect_session(path: Path, options: Options) -> Finding:
     """Describe a session folder; of several arms, what each of them sees and reads."""
     findings: dict[str, Finding] = {}
     tools = read_session_toml(path).tools or (ToolEntry(""),)
+    read_by = {name: getattr(options, name) for name in ("camera", "rectified", "side", "read_as")}
     for tool in tools:
-        session = read_session(
-            path,
-            arm=tool.arm or None,
-            camera=options.camera,
-            rectified=options.rectified,
-            side=options.side,
-            read_as=options.read_as,
-        )
+        session = read_session(path, arm=tool.arm or None, **read_by)
         finding = _of_arm(session, tool.instrument)
         if len(tools) == 1:
             return finding

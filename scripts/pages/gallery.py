@@ -103,7 +103,7 @@ EXHIBITS: Final = (
         "Another instrument and a piece of tissue pass before the one that is followed. The pose goes on, and is "
         "called doubtful meanwhile.",
         (
-            "synth passing --motion video --level medium --frames 45 --seed 7",
+            "synth passing --motion video --level medium --frames 82 --seed 7",
             "track passing --every 2 --out hidden",
         ),
         "hidden",
