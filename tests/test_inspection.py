@@ -195,15 +195,9 @@ def test_video_beside_camera_and_readings_is_taken_for_a_recording(tmp_path: Pat
     assert typed(inspect_path(tmp_path / "v.mp4").lines) == ["track", str(tmp_path / "v.mp4")]
     (tmp_path / "labels").mkdir()
     assert typed(inspect_path(tmp_path / "v.mp4").lines)[-4:-2] == ["--masks", str(tmp_path / "labels")]
-
-
-def test_lerobot_set_says_which_command_imports_it(tmp_path: Path) -> None:
-    for name in ("meta", "data"):
-        (tmp_path / name).mkdir()
-    (tmp_path / "meta" / "info.json").write_text("{}")
-    found = inspect_path(tmp_path)
-    assert found.kind == "LeRobot data set"
-    assert typed(found.lines)[:4] == ["import", str(tmp_path), "--episode", "0"]
+    (tmp_path / "labels").rmdir()
+    shutil.copy(tmp_path / "v.mp4", tmp_path / "v_mask.mp4")
+    assert typed(inspect_path(tmp_path / "v.mp4").lines)[-4:-2] == ["--masks", str(tmp_path / "v_mask.mp4")]
 
 
 def test_session_says_its_clock_and_what_it_is_taken_for(tmp_path: Path) -> None:

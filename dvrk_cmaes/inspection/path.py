@@ -397,10 +397,10 @@ def _inspect_video(path: Path) -> Finding:
     missing = [file.name for file in own if not file.is_file()]
     places = [folder / name for name in ("masks", "labels") if (folder / name).is_dir()]
     places += [file for file in folder.glob("*mask*") if file.suffix.lower() in SUFFIXES and file != path]
-    masks = [word for place in places for word in ("--masks", place)]
+    masks = ("--masks", places[0]) if places else ()
     if missing or masks:
         camera, joints = (file.name if file.name in missing else file for file in own)
-        words = ("import", path, "--camera", camera, "--joints", joints, *masks[:2], "--out", "session")
+        words = ("import", path, "--camera", camera, "--joints", joints, *masks, "--out", "session")
         lines[:0] = [_next_command(*words), *([f"needed, and not beside it: {', '.join(missing)}"] if missing else [])]
     else:
         lines.insert(0, f"taken for a recording, beside camera.yaml and joints.csv; {_next_command('track', path)}")
@@ -416,8 +416,8 @@ def _inspect_folder(path: Path, options: Options) -> Finding:
         words = ("import", path, "--episode", 0, "--camera", "camera.yaml", "--out", "session")
         return Finding("LeRobot data set", (_next_command(*words), "no camera file: --camera is needed"))
     pictures = [p for p in sorted(path.iterdir()) if p.suffix.lower() in _PICTURES and not p.name.startswith(".")]
-    films = [file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and file.name != "video.mp4"]
-    videos = [file for file in films if "mask" not in file.stem.lower()]  # which one may be of masks
+    others = re.compile(r"^video\.mp4$|mask", re.IGNORECASE)  # of a session, and of masks
+    videos = [file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and not others.search(file.name)]
     if len(videos) == 1 and not pictures and not (path / "images").exists():
         return _inspect_video(videos[0])
     subfolders = any((path / name).exists() for name in ("masks", "images", "session.toml", "camera.yaml"))

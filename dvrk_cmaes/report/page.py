@@ -246,8 +246,7 @@ def calibration_part(found: SessionCalibration, *notes: str) -> Part:
 
 def _lag_chart(found: SessionCalibration) -> Chart | None:
     """Chart the disagreement of the frames over the lag; None if no lag was searched."""
-    curve = found.lag_curve
-    if curve is None or len(curve.lags) < 2:
+    if (curve := found.lag_curve) is None or len(curve.lags) < 2:
         return None
     note = "Mean squared disagreement of the frames with one base, in expected errors, were the images this late."
     drawn = Curve("", curve.lags, curve.misfit)

@@ -144,8 +144,7 @@ def _template() -> jinja2.Template:
         lstrip_blocks=True,
     )
     style, script = ((_TEMPLATES / name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
-    hashes = {"style_hash": _hash(style), "script_hash": _hash(script)}
-    made.globals |= {"style": style, "script": script, **hashes, "anchor": anchor, "remedy": remedy}
+    made.globals |= {"style": style, "script": script, "hash_of": _hash, "anchor": anchor, "remedy": remedy}
     return made.get_template("page.html")
 
 

@@ -179,8 +179,7 @@ def _figures(recording: FollowedRecording, events: Sequence[TrackEvent]) -> Iter
     searched = sum(bool(row.get("searched")) for row in rows)
     note = f"99 % within {np.percentile(seconds, 99):.0f} ms; {searched} global searches"
     yield KeyFigure("Time a step, median", f"{np.median(seconds):.0f} ms", note)
-    last = rows[-1].get("base")
-    if last is not None:
+    if (last := rows[-1].get("base")) is not None:
         first = next((row["frame"] for row in rows if row.get("base") and row["base"]["used"]), None)
         far = "" if last["tip_mm"] is None else f", tips to {last['tip_mm']:.1f} mm by the last solution"
         note = f"{last['keyframes']} keyframes at the end, {last['solved']} solved{far}"

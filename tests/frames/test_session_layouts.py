@@ -52,15 +52,6 @@ def test_folder_name_disambiguates_equal_numbers(tmp_path: Path) -> None:
     assert [frame.name for frame in read_session(tmp_path, camera=CAMERA).frames] == ["a_0026", "b_0026"]
 
 
-def test_published_layout_requires_camera(tmp_path: Path) -> None:
-    published(tmp_path, "0", 26, [0.0] * 6)
-    with pytest.raises(InputError) as caught:
-        read_session(tmp_path)
-    assert str(caught.value).startswith(
-        f"{tmp_path}/camera.yaml: no such file; expected a camera file (--camera FILE); "
-    )
-
-
 def test_damaged_reading_affects_its_frame_only(tmp_path: Path) -> None:
     published(tmp_path, "0", 26, [0.0] * 6)
     inside = published(tmp_path, "1", 27, [0.0] * 5)

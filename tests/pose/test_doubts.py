@@ -13,14 +13,14 @@ from helpers.frame_terms import SPREAD, readings_of, view_at
 from helpers.places import ROOT
 from helpers.transforms import apply, lookat_pose
 
-from dvrk_cmaes import Body, Camera
+from dvrk_cmaes import Body, Camera, prepare
 from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.interpolation import Sparseness
 from dvrk_cmaes.pose import doubts
 from dvrk_cmaes.pose.doubts import LIMITS, NO_OUTER_READINGS, NO_READINGS, NOT_FOUND
 from dvrk_cmaes.pose.expected_error import tip_probability
-from dvrk_cmaes.pose.judge import doubts_in_views, exchanged_readings, judge
+from dvrk_cmaes.pose.judge import doubts_in_views, exchanged_readings, jaw_end_missing, judge
 from dvrk_cmaes.pose.refine.gauss_newton import Fit
 from dvrk_cmaes.results.result import ExpectedError, Quality, ViewCheck
 
@@ -118,6 +118,11 @@ def test_views_disagree_by_a_rotation_that_is_large_and_certain(
 ) -> None:
     reasons = reasons_of(bundled_body, turn=turn, std=std)
     assert [reason.split(":")[0] for reason in reasons] == ["views disagree"] * disagree
+
+
+def test_jaws_with_openings_are_not_taken_for_cut_off() -> None:
+    open_jaws = Posed(TRUE.pose, np.radians([0.0, 0.0, 30.0]))
+    assert not jaw_end_missing(view_at(prepare("prograsp"), CAMERA, open_jaws), open_jaws)
 
 
 # every reason, by a call that gives it and one that does not
