@@ -126,7 +126,7 @@ class LossWeights:
     """Weights of the terms of the loss: lambda 1 to 5 of the paper, and that of the readings.
 
     They were chosen by hand, and are not decisive: of 72 frames without readings the search found the mode of 60 with
-    all terms, and 57 to 62 without any one of them, which the frames' number does not tell from 60
+    all terms, and 57 to 62 without any one of them, which the frames' number does not distinguish from 60
     (data/experiments/ablation.md). All poses that it found are refined, and the refinement does not use these terms.
 
     Attributes
@@ -233,7 +233,7 @@ class CameraConfig:
     radial
         Of the first radial coefficient of the distortion.
     instrument_size_percent
-        Of the size of the instrument in the images against its model, %; it holds beside a file's own covariance.
+        Of the size of the instrument in the images against its model, %; it is added to a file's own covariance.
     """
 
     focal_length_percent: float = 0.5
@@ -334,7 +334,7 @@ class SessionConfig:
         Time in which consecutive frames err alike, s, so that all of them count as one in base, offsets, camera, margin
         and the error of the lag; 0 to count each.
     shared_errors
-        Factor on the standard deviations of what the frames tell of camera and lens, because they share errors of masks
+        Factor on the standard deviations of what the frames show of camera and lens, because they share errors of masks
         and meshes; at least 2 where this program found the masks in images.
     test_camera
         Whether the frames test the camera file, which takes a quarter of the time. Keyframes of a recording that is

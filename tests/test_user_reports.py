@@ -190,7 +190,7 @@ def test_lag_of_two_seconds_is_found(reports: Path) -> None:
 
 
 @pytest.mark.parametrize("later", [1.6, -6.0])
-def test_lag_beyond_the_range_is_not_told(reports: Path, later: float) -> None:
+def test_lag_beyond_the_range_is_not_found(reports: Path, later: float) -> None:
     frames, series = frames_and_series(reports / "lag-beyond-range", later)
     found = lag_of(frames, series)
     assert found.lag is None

@@ -1,6 +1,6 @@
-"""What a session's frames show of two things beside the camera: the margin of the masks, and the instrument's sizes.
+"""What a session's frames show of two unknowns besides the camera: the margin of the masks, and the instrument's sizes.
 
-A single frame cannot tell a margin by which its mask is too wide or too narrow from a shorter distance. In a session
+In a single frame a margin by which its mask is too wide or too narrow looks like a shorter distance. In a session
 the arm moves along the optical axis by amounts that its joints state, and a margin makes near and far shafts wider by
 the same number of pixels.
 
@@ -36,10 +36,10 @@ MARGIN: Final = "margin"
 _STD, _WIDE_SHARE = 1.0, 0.2  # px, of the prior, and the share of segmenters with it
 _USUAL_STD = 0.05  # px, the same of the others, in images 640 px wide; recordings of `fleet.py make` show no more
 _FREE = 100.0  # px, of a prior that does not count
-_LEAST_STD = 0.12  # px; margins of parts of one real recording, 0.57 to 1.11, scatter by this beside their errors
+_LEAST_STD = 0.12  # px; margins of parts of one real recording, 0.57 to 1.11, scatter by this and their errors
 _PASSES = 5  # largest number of linearisations
 _HELD = 1e-3  # of the prior standard deviations of a camera that is held at its file
-_MARGIN_PX = 0.08  # of all masks, beyond what the keyframes tell: rounded corners, a segmenter's threshold
+_MARGIN_PX = 0.08  # of all masks, beyond what the keyframes determine: rounded corners, a segmenter's threshold
 
 
 class MaskMargin(SeenBlock):
@@ -90,7 +90,7 @@ class MarginEffect(NamedTuple):
 
 @dataclass(frozen=True)
 class SessionMasks(Document):
-    """What a session's frames tell of the margin of its masks.
+    """What a session's frames determine of the margin of its masks.
 
     margin_px : by how much the masks are too wide all round; negative if too narrow. std_margin_px : its standard
     deviation. applied : whether the session was solved with masks less this margin. In a session of several views it is
@@ -132,11 +132,11 @@ class SessionMasks(Document):
 def estimate_margin(
     arms: Sequence[ArmOutlines], config: SessionConfig
 ) -> tuple[SessionMasks, list[tuple[Calibration, Posed]]]:
-    """Estimate the margin of the masks beside the calibrations and the camera, whose file counts as a measurement.
+    """Estimate the margin of the masks with the calibrations and the camera, whose file counts as a measurement.
 
     Arguments are as in `linearise`; the outlines are those of one view, with the margin among their blocks. Also
     returns the calibration and the poses (N) of each arm with masks less the margin and the camera of the file: a
-    change of the camera that is estimated beside the margin is not used.
+    change of the camera that is estimated jointly with the margin is not used.
     """
     there, moved = linearise(arms, config, [MARGIN], passes=_PASSES), []
     place, camera = there[0].solution.calibration.place(MARGIN), arms[0].camera
@@ -159,7 +159,7 @@ def covariance_of_margin(masks: SessionMasks | None, own: Float64, by_calibratio
     Parameters
     ----------
     masks
-        What the session tells of the margin; None where it was not estimated.
+        What the session determines of the margin; None where it was not estimated.
     own : (D,)
         Change of the pose by the margin of its own mask, px, given the calibration.
     by_calibration : (D, K)

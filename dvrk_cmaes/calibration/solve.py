@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -260,7 +260,7 @@ def solution_at(arms: Sequence[ArmFrames]) -> list[Solved]:
     for arm, place in zip(arms, places, strict=True):
         prior[np.ix_(place, place)], deviation[place] = arm.calibration.information, arm.calibration.deviation
     information, independent, gradient = prior.copy(), prior.copy(), prior @ deviation
-    parts, found = np.zeros((_PARTS, count)), list[tuple[Calibration, Float64, Float64, Float64, Float64]]()
+    parts, found = np.zeros((_PARTS, count)), list[partial[Solved]]()
     for (model, fits, calibration), place in zip(arms, places, strict=True):
         frames, jacobian, both = (
             marginalise(model, fits, calibration),
@@ -278,11 +278,11 @@ def solution_at(arms: Sequence[ArmFrames]) -> list[Solved]:
         by_lag[place] += times(by_pose, fits.by_lag).sum(axis=0)
         for number, part in enumerate(np.array_split(slopes, min(_PARTS, len(slopes)))):
             parts[number, place] += part.sum(axis=0)
-        found.append((calibration, weights, misfit, of_frames, slopes))
-    used = parts[: max(len(own[-1]) for own in found)]
+        found.append(partial(Solved, calibration, weights, misfit, of_frames, slopes))
+    used = parts[: max(len(arm.fits.shares) for arm in arms)]
     scattered = np.atleast_2d(len(used) * np.cov(used, rowvar=False))
     whole = Equations(places, information, gradient, independent, scattered, by_lag)
-    return [Solved(*own, whole, number) for number, own in enumerate(found)]
+    return [solved(whole, number) for number, solved in enumerate(found)]
 
 
 def _misfit(frames: Eliminated, optimum: Float64) -> Float64:

@@ -152,7 +152,7 @@ def _find_mask(
             break
         view, result = replace(view, mask=again.mask), None
         if again.confidence < found.confidence:
-            which = found.notes[-1:] if found.others else ()  # the last note tells which of several is taken
+            which = found.notes[-1:] if found.others else ()  # the last note names which of several is taken
             found = replace(found, confidence=again.confidence, notes=(*again.notes, *which))
     means = f"by the {settings.model} model" if found.before is None else f"by its {found.before}"
     how = f"mask found in the image {means}, confidence {found.confidence:.2f}"

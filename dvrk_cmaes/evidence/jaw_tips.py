@@ -60,7 +60,7 @@ def find_tips(
     by background, the first is returned twice.
     """
     if edges is None:
-        return "without the shaft's edges there is no telling which end is distal"
+        return "without the shaft's edges it is ambiguous which end is distal"
     direction, _ = distal_direction(mask, edges, contour, camera)
     ends = edges.ends.reshape(-1, 2)
     foot = ends[np.argsort(-(ends @ direction))[:2]].mean(axis=0)

@@ -50,7 +50,7 @@ class FrameFiles:
     which is refined instead of a search. ``crop`` is the part of the pictures that is used, left, top, width and
     height, px; ``pick``, ``keypoints`` and ``prompts`` are in pixels of the whole pictures. ``overlaid`` is a PNG of
     pixels of the whole pictures that are over all images of the session, as a robot's messages, and do not count.
-    ``unread``: a ``problem`` that is only that no reading is near the image's time.
+    ``without_reading``: a ``problem`` that is only that no reading is near the image's time.
     """
 
     name: str
@@ -71,7 +71,7 @@ class FrameFiles:
     start: Result | None = None
     crop: Window | None = None
     overlaid: bytes | None = None
-    unread: bool = False
+    without_reading: bool = False
 
     @property
     def has_mask(self) -> bool:

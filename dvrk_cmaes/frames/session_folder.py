@@ -382,7 +382,7 @@ def _with_readings(frame: FrameFiles, files: Sequence[JointFile], time: int | No
     try:
         readings, notes, farthest = frame_readings(files, frame.name, time=time)
     except InputError as error:
-        return replace(frame, problem=str(error), unread=isinstance(error, NoneNearError)), None
+        return replace(frame, problem=str(error), without_reading=isinstance(error, NoneNearError)), None
     return replace(frame, readings=readings, notes=notes), farthest
 
 

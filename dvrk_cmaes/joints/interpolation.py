@@ -162,9 +162,9 @@ _LEAST_SPACING: Final = 0.03  # s, from which on readings may be too sparse; err
 _LEVER: Final = 0.01  # m, of the jaws about the shaft's axis
 MOST_OFF: Final = 4e-3  # m, by which readings may be off without doubt: what they are off widens the predictions
 _INSERTION, _ROLL = 2, 3  # places among the outer joints
-_LARGEST_ERROR: Final = 1.0  # rad or m: readings of almost the same time tell any number, whose square spoils digits
+_LARGEST_ERROR: Final = 1.0  # rad or m: readings of almost the same time give any number, whose square spoils digits
 LEAST_ERROR: Final = 2e-4
-"""Error of an interpolated reading, rad or m, from which on it counts beside the errors of readings themselves."""
+"""Error of an interpolated reading, rad or m, from which on it is added to the errors of readings themselves."""
 
 
 @dataclass(frozen=True, eq=False)

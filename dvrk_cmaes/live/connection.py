@@ -31,7 +31,7 @@ class Connection:
     """A connection to ROS, and this class itself one within this process, whose ``receivers`` take what is sent.
 
     Messages are plain values with the field names of ROS 2, or on receipt those of ROS 1. Sequences of bytes are base64
-    when published; on receipt they are bytes or base64. ``name`` tells how ROS is reached, for messages, and ``ros1``
+    when published; on receipt they are bytes or base64. ``name`` says how ROS is reached, for messages, and ``ros1``
     whether what is received is of ROS 1.
     """
 

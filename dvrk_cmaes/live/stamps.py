@@ -20,7 +20,7 @@ _PAUSE: Final = 5.0  # s without an image, after which a recording may have been
 class Ages:
     """How old images are: how much later it is than their time and the least time from an image's stamp to its receipt.
 
-    The clocks of robot and computer may differ, so only changes of the time between stamp and receipt tell. The least
+    The clocks of robot and computer may differ, so only changes of the time between stamp and receipt count. The least
     one is found anew after images did not come for some seconds, as of a recording that was paused.
     """
 

@@ -54,7 +54,7 @@ _SLIP = 4.0  # standard deviations beyond which a joint's reading is reported
 class FrameLimits:
     """How far a frame may be from its mask and from what its session expects.
 
-    what : what the frame belongs to, and what of it tells its pose, in words. factor : on the limits of contour, bend
+    what : what the frame belongs to, and what of it shows its pose, in words. factor : on the limits of contour, bend
     and missing overlap. outside : the jaw tips outside the image that make it doubtful, one of them or all, in words.
     overlap_loss : below the session's median intersection over union. largest_px, contour_factor : 95 % of the contour
     are within the larger one of the first, px in an image 640 px wide, and of the second times the session's median.
@@ -342,7 +342,7 @@ def base_known(tip_mm: float, keyframes: int) -> str:
 
 
 def base_not_known(keyframes: int, known: str) -> str:
-    """Say that the base is not known, by how many keyframes, and what is known beside it."""
+    """Say that the base is not known, by how many keyframes, and what else is known."""
     return f"base not known yet: {keyframes} keyframes{known}"
 
 

@@ -190,7 +190,7 @@ def tip_probability(expected_mm: float, within_mm: float, *, of_mode: float = 1.
     within_mm
         The distance, mm.
     of_mode
-        Stated probability of the mode; 1 where a session's prediction tells it.
+        Stated probability of the mode; 1 where a session's prediction determines it.
     """
     mode = 1.0 if of_mode == 1 else _logistic(_MODE[0] - _MODE[1] * math.log(max(1 - of_mode, _LEAST_DOUBT)))
     nearness = math.log(within_mm / max(expected_mm, 1e-6))
@@ -272,7 +272,7 @@ def displacements(camera: Camera, pixels: Float64, tangent: Float64) -> Float64:
 def moves_by_camera(instrument: Instrument, camera: Camera, at: Posed) -> Float64:
     """Return the change (6 + J, 6) of a pose and its joints with each parameter by which it is read.
 
-    It is that of least squares over points of the instrument in the image, of which those of the shaft tell only where
+    It is that of least squares over points of the instrument in the image, of which those of the shaft count only where
     they are across it; zero where none is in view. A larger instrument is farther away in the same proportion.
     """
     count = 6 + len(at.joints)

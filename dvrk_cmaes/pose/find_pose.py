@@ -37,7 +37,7 @@ class FoundPose:
 
     ``at`` is one pose in the camera of the first view that shows the instrument, with the ``covariance``
     (6 + J, 6 + J) of its small changes; ``expected_error`` is that of tips and shaft, ``tip_probability`` that of tips
-    within the limit. ``mode_probability`` is that of the pose's mode, None where a session's prediction tells the
+    within the limit. ``mode_probability`` is that of the pose's mode, None where a session's prediction determines the
     mode. ``reasons`` say why the pose is doubtful; none if it is not. ``camera_from_base`` (4, 4) is given where a
     session's calibration took the joints' offsets out of the readings. ``evaluations`` and ``rays`` count the
     silhouettes evaluated and the rays traced. ``views`` has the fit in each view, and ``notes`` remark on single ones.

@@ -91,7 +91,7 @@ def judge(
 
 
 def _rival(modes: Sequence[Fit], of_mode: float, instrument: Instrument) -> str:
-    """Say which mode is the most probable beside the first, whose probability is given."""
+    """Say which mode is the most probable after the first, whose probability is given."""
     if len(modes) < 2 or mode_weights(modes)[1:].max() < 1 - of_mode - _MINOR:
         return "the mask says too little"
     other = min(modes[1:], key=lambda mode: mode.score)

@@ -268,7 +268,7 @@ def _without_losses(view: FrameView, seen: Posed, masks: Bool) -> list[Quality]:
 
 
 def pooled_quality(qualities: Sequence[Quality]) -> Quality:
-    """Return the quality of a pose in several views: means, and the largest of what tells a cut or occluded mask."""
+    """Return the quality of a pose in several views: means, and the largest of what a cut or occluded mask has."""
     names = ("iou", "loss", "contour_px_median", "steady_share")
     means = {name: float(np.mean([getattr(quality, name) for quality in qualities])) for name in names}
     largest = {name: max(getattr(quality, name) for quality in qualities) for name in ("contour_px_95", "bend_px")}

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
 _LONGEST_QOS = 100_000  # characters of a value in metadata.yaml, which may hold the QoS of many publishers
-_JUDGED = 50  # messages of images whose times tell whether a clock sets them
+_JUDGED = 50  # messages of images whose times show whether a clock sets them
 _BLANK_STORAGE = re.compile(r"""^\s*storage_identifier:\s*(?:""|''|~|null)?\s*$""", re.MULTILINE)
 _LARGEST_MESSAGE, _LARGEST_IMAGE = 2**20, 400_000_000  # bytes
 

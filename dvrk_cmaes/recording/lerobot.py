@@ -1,6 +1,6 @@
 """Reader of LeRobot data sets (v2.1 and v3): meta/info.json, readings by frame as parquet, a video for each camera.
 
-The names of ``observation.state`` in info.json tell its joints. The reader follows a description of the format; it has
+The names of ``observation.state`` in info.json name its joints. The reader follows a description of the format; it has
 not been tried with a real set of a dVRK.
 """
 

@@ -178,7 +178,7 @@ def _segmented(recorded: RecordedFrames, chosen: Sequence[int], hints: Hints, wo
 
 
 def _with_colours(solution: RecordedSolution, found: Mapping[int, FrameData]) -> RecordedSolution | str:
-    """Return a calibration with the colours of instrument and surroundings; a text where the images tell none.
+    """Return a calibration with the colours of instrument and surroundings; a text where the images determine none.
 
     They are learned from masks that were ``found`` where the calibration predicts the instrument.
     """
@@ -205,7 +205,7 @@ def begin_solution(
     """Estimate the keyframes of a recording alone and solve them together; a text says why that is not possible.
 
     A calibration that is ``given`` is used instead. Without ``hints`` the recording is followed by its masks. With
-    them, which hold for the first frame, masks are found in its images, and tell the colours. Finish it by
+    them, which hold for the first frame, masks are found in its images, and determine the colours. Finish it by
     `solved_together` or `solved_alone`. Raises InputError for a file that is wrong.
     """
     if hints is None:
@@ -213,7 +213,7 @@ def begin_solution(
         keyframes = {i: partial(read_frame, recorded.files[i], recorded.rig) for i in recorded.keyframes()}
     else:
         chosen = recorded.keyframes(_SEGMENTED, np.array([own.has_image or own.has_mask for own in recorded.files]))
-        if given is None and len(chosen) < LEAST_KEYFRAMES:  # too few to tell masks of another tool from right ones
+        if given is None and len(chosen) < LEAST_KEYFRAMES:  # too few to find masks of another tool
             return Begun.of(f"{len(chosen)} images that differ have readings, fewer than {LEAST_KEYFRAMES}")
         found, least = _segmented(recorded, chosen, hints, work), _FEWEST
         recorded = recorded.measured(found.items())

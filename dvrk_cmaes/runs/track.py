@@ -91,7 +91,7 @@ class TrackedArm:
         self.session, self.body, settings = self.arm.session, self.arm.body, self.settings
         method, joints = self.arm.method, self.body.instrument.joint_names
         recorded = RecordedFrames.of(self.session, method.config.track.frames_a_second, settings.every)
-        frames = (replace(own, problem=None, unread=False) if own.unread else own for own in recorded.files)
+        frames = (replace(own, problem=None) if own.without_reading else own for own in recorded.files)
         self.recorded = recorded = replace(recorded, files=tuple(frames))
         if commanded := commanded_in([files.readings for files in recorded.files], joints):
             self.remarks = (describe_commanded(commanded),)
@@ -202,7 +202,7 @@ class TrackedArm:
         with ExitStack() as stack:
             self.by.report(0, count)
             solver = None
-            if set(OUTER_JOINTS) <= {*recorded.series.times}:  # which alone tell of a base
+            if set(OUTER_JOINTS) <= {*recorded.series.times}:  # which alone determine a base
                 solver = stack.enter_context(SolverProcess(self.body, threads=self.by.count or usable_cores()))
             schedule = SolutionSchedule(tracker, solver)
             for files, time in zip(recorded.files, recorded.times.tolist(), strict=True):
@@ -236,7 +236,7 @@ class TrackedArm:
         return masks, images, ignored
 
     def _row(self, files: FrameFiles, result: TrackResult) -> dict[str, Any]:
-        """Return the row of a frame in tracks.jsonl; without any readings, it says that nothing tells the mode."""
+        """Return the row of a frame in tracks.jsonl; without any readings, it says that nothing determines the mode."""
         if not self.recorded.series.times and self.body.instrument.has_twin and result.status == "doubtful":
             result = replace(result, reasons=(NO_READINGS, *result.reasons))
         return result.to_dict(files.name, timed=self.recorded.series.unit == "s")

@@ -68,7 +68,7 @@ class Follower:
     calibration
         Its base, offsets and spreads; its lag is taken out of the readings before they are given.
     lag
-        That lag; None if nothing tells it.
+        That lag; None if it is not observable.
     uncertain
         Whether the calibration is of so few frames that images are to correct what it predicts: its errors then count
         as deviations that change slowly, and not as ones that all images share.
@@ -150,7 +150,7 @@ class Follower:
     ) -> TrackResult:
         """Fit the image of a later time, s, whose readings, less the lag, are ``reading``.
 
-        An image whose masks, by view, do not show the instrument well does not tell against the calibration.
+        An image whose masks, by view, do not show the instrument well is no evidence against the calibration.
         """
         given = self._given
         self._began = min(self._began, time)

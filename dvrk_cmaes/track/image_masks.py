@@ -43,7 +43,7 @@ _BINS = 20  # of a channel
 _BIN_OF = np.minimum((np.sqrt(np.arange(256) / 255.0) * _BINS).astype(np.int32), _BINS - 1)
 _BIN_OF_CHANNEL = _BIN_OF * _BINS**2, _BIN_OF * _BINS, _BIN_OF
 _SMOOTHED = 0.7  # bins, standard deviation of the Gaussian that smooths a histogram along each axis
-_FLOOR = 0.05  # of the probability, spread evenly over all bins: what was not seen tells nothing
+_FLOOR = 0.05  # of the probability, spread evenly over all bins: what was not seen has no information
 _LARGEST = 3.0  # log-odds of a single pixel
 
 

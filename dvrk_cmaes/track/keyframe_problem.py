@@ -67,7 +67,7 @@ class Keyframe:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """What keyframes tell together: the calibration, or why there is none.
+    """What keyframes determine together: the calibration, or why there is none.
 
     ``keyframes`` is their number, ``alone`` their own results by name, so that none is solved twice. ``base`` counts
     the bases of the tracker before the one that the keyframes are of. ``tip_mm`` is the expected error of the tips, mm,

@@ -128,13 +128,13 @@ SOLVED_AT: Final = (4, 8, 12, 16, 20, 24, 36, 48, MOST_KEYFRAMES)
 NEW_AT_MOST: Final = 20
 """Of the largest number of keyframes, those that are new since they were last solved, at which they are solved anew."""
 RELIABLE: Final = 32
-"""Keyframes, from which on their solution is used although they do not tell the lag, and its errors count as shared."""
+"""Keyframes, from which on their solution is used although they leave the lag open, and its errors count as shared."""
 _NEW_THAT_DISAGREE = 5  # keyframes, of the largest number, with which they are solved anew if images disagree
 
 _LEAST_APART = 0.15  # of `distance_units`, between two keyframes
 _LEAST_SECONDS = 0.09  # between two keyframes
 _SECONDS = 4.0  # of as different images as one of `distance_units`
-_SHAPES = 200  # masks whose areas tell what is well in view
+_SHAPES = 200  # masks whose areas determine what is well in view
 
 
 class Keyframes:
@@ -188,7 +188,7 @@ class Keyframes:
         """Keep an image of a time, s, whose readings then are ``reading``, if it shows enough and differs from others.
 
         Where it has no masks, those are kept that were found about the pose to which it was followed, if that explains
-        them. Where readings stand still or are too sparse for the motion, they do not tell what the image shows.
+        them. Where readings stand still or are too sparse for the motion, they do not predict what the image shows.
         """
         if reading.still or (reading.sparse is not None and readings_too_sparse(reading.sparse) is not None):
             return

@@ -35,8 +35,8 @@ _SAME = 1e-9  # rad and m
 class ReadingAt:
     """Readings at one time: ``outer`` (4,), rad and m, and ``joints`` (J,), rad, with their rates per second.
 
-    Values are NaN where there is no reading. ``still`` tells whether the outer joints' readings around that time are
-    equal to the last digit. ``sparse`` tells how far the interpolated outer joints may be off; None where that is not
+    Values are NaN where there is no reading. ``still`` is whether the outer joints' readings around that time are
+    equal to the last digit. ``sparse`` is how far the interpolated outer joints may be off; None where that is not
     known. ``ecm`` (4,) are the readings of the endoscope's arm, rad and m, None where that is not read.
     """
 

@@ -1,8 +1,8 @@
 """Following while no calibration is known: by a wide one, made from a pose of an image that was searched.
 
-A pose tells the base of an arm whose readings are known, up to its own errors and the offsets of roll and joints. Where
+A pose gives the base of an arm whose readings are known, up to its own errors and the offsets of roll and joints. Where
 nothing is read, the arm is taken to stand still, and the base to walk at random. No pose is ok, since nothing but the
-images tells the base.
+images determines the base.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ class UnknownBase:
     ) -> TrackResult:
         """Follow to the image of a later time, s, whose readings, less the lag, are ``reading``.
 
-        A ``calibration`` that cannot be used for want of colours tells where a searched image has the instrument.
+        A ``calibration`` that cannot be used for want of colours predicts where a searched image has the instrument.
         """
         image = _Image(time, reading, seen)
         if self._last is None and self._found is None:

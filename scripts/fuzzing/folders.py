@@ -182,7 +182,7 @@ def _note(event: str, arguments: tuple[Any, ...]) -> None:
         return
     paths: tuple[tuple[Any, Any], ...] = ()  # each with the handle of the folder that it is relative to, -1 for none
     if event == "open" and isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR | os.O_TRUNC):
-        paths = ((arguments[0], -1),)  # the handle is not told: these are run.json, or have temporary names
+        paths = ((arguments[0], -1),)  # the handle is unknown: these are run.json, or have temporary names
     elif event in ("os.remove", "os.rmdir", "os.mkdir", "shutil.rmtree"):
         paths = ((arguments[0], arguments[-1]),)
     elif event == "os.truncate":

@@ -114,6 +114,6 @@ def test_nothing_is_claimed_of_a_joint_whose_reading_never_changes() -> None:
     readings = waves(60, rng)
     readings[:, NAMES.index("jaw")] = 0.5
     errors = measured_cables(NAMES)[1].errors(readings, play_of(readings, measured_cables(NAMES)[1].width))
-    told = in_words(session(readings, errors, rng))
-    assert any("wrist_yaw" in text for text in told)
-    assert not any(text.startswith(("jaw stays", "play of jaw", "jaw drags")) for text in told)
+    texts = in_words(session(readings, errors, rng))
+    assert any("wrist_yaw" in text for text in texts)
+    assert not any(text.startswith(("jaw stays", "play of jaw", "jaw drags")) for text in texts)

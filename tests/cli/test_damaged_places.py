@@ -70,9 +70,9 @@ def said(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest
 def test_invalid_file_name_is_refused(said: Said, tmp_path: Path, reader: str, kind: str) -> None:
     if reader.startswith("recording's"):
         write_bag(tmp_path / "bag", "mcap", good(1))
-    told = said(READERS[reader](NAMES[kind]))
-    assert told.startswith("2 ")
-    assert len(told) < 900
+    message = said(READERS[reader](NAMES[kind]))
+    assert message.startswith("2 ")
+    assert len(message) < 900
 
 
 def test_files_with_unusual_names_are_read_and_written(

@@ -75,15 +75,15 @@ def test_extreme_option_is_refused_at_once(
 
 
 @pytest.mark.parametrize(
-    ("shape", "lower", "told"),
+    ("shape", "lower", "message"),
     [
         ('<box size="0.01 0.01 0.3"/>', "-1e308", "limit: expected at most 1000"),
         ('<box size="1e-300 0.01 0.3"/>', "-1", "box: 1e-300 m; expected at least 1e-07 m"),
     ],
 )
-def test_extreme_number_in_urdf_is_refused(tmp_path: Path, shape: str, lower: str, told: str) -> None:
+def test_extreme_number_in_urdf_is_refused(tmp_path: Path, shape: str, lower: str, message: str) -> None:
     (tmp_path / "x.urdf").write_text(ROBOT.format(shape=shape, lower=lower))
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=message):
         load_instrument(tmp_path / "x.urdf")
 
 
@@ -114,12 +114,12 @@ def test_texture_of_mesh_is_not_opened(tmp_path: Path) -> None:
     assert len(faces) == 1
 
 
-@pytest.mark.parametrize(("levels", "told"), [(9, "at most 10000 geometries"), (1, "contains itself")])
-def test_nodes_that_multiply_are_refused(tmp_path: Path, levels: int, told: str) -> None:
+@pytest.mark.parametrize(("levels", "message"), [(9, "at most 10000 geometries"), (1, "contains itself")])
+def test_nodes_that_multiply_are_refused(tmp_path: Path, levels: int, message: str) -> None:
     last = GEOMETRY if levels > 1 else '<instance_node url="#n0"/>'
     nodes = [f'<node id="n{k}">{f"""<instance_node url="#n{k + 1}"/>""" * 10}</node>' for k in range(levels)]
     (tmp_path / "x.dae").write_text(DAE.format(nodes="".join(nodes) + f'<node id="n{levels}">{last}</node>'))
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=message):
         read_mesh(tmp_path / "x.dae")
 
 

@@ -41,7 +41,7 @@ def run_of(session: Path, frames: dict[str, Any]) -> str:
     )
 
 
-def test_calibration_of_another_session_is_told_from_one_that_was_moved(session: Path, tmp_path: Path) -> None:
+def test_calibration_of_another_session_is_distinguished_from_one_that_was_moved(session: Path, tmp_path: Path) -> None:
     read, out = read_session(session), tmp_path / "out"
     digests = {files.name: frame_stamps(files) for files in read.frames}
     other = {name: dict.fromkeys(parts, "other") for name, parts in digests.items()}

@@ -1,4 +1,4 @@
-"""What lies over all pictures of a recording: texts and a border are told from what moves, and do not count."""
+"""What lies over all pictures of a recording: texts and a border are separated from what moves, and do not count."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def images(**what: bool | int) -> list[Image]:
     return [seen(number, **what) for number in range(IMAGES)]  # type: ignore[arg-type]
 
 
-def test_text_is_told_and_little_else() -> None:
+def test_text_is_found_and_little_else() -> None:
     found = overlaid(images())
     assert found is not None
     assert found[LETTERS].mean() > 0.95

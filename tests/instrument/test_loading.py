@@ -217,9 +217,9 @@ PLY_FACES = PLY_HEAD + b"element face 1\nproperty list uchar int vertex_indices\
 )  # fmt: skip
 def test_unusable_mesh_file_is_refused(tmp_path: Path, name: str, content: bytes, message: str) -> None:
     (tmp_path / name).write_bytes(content)
-    told = refused(write_urdf(tmp_path, mesh_link(name)))
-    assert message in told
-    assert str(tmp_path / name) in told
+    refusal = refused(write_urdf(tmp_path, mesh_link(name)))
+    assert message in refusal
+    assert str(tmp_path / name) in refusal
 
 
 def test_mesh_in_millimetres_is_refused_with_hint(tmp_path: Path, tetra: Path) -> None:

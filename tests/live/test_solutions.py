@@ -24,7 +24,7 @@ CONFIG = EstimateConfig(trust=TrustConfig(tip_mm=3.0))  # small images tell less
 
 @dataclass
 class FakeSolver:
-    """Has solved a problem when it is told to have."""
+    """Has solved a problem when a test says so."""
 
     problems: list[KeyframeProblem] = field(default_factory=list)
     futures: list[Future[Solution]] = field(default_factory=list)

@@ -31,7 +31,7 @@ TOPICS = InputTopics({"left": EyeTopics.of(IMAGE)}, {"PSM1": (JOINTS,)})
 
 @dataclass
 class Follower(Steps):
-    """A tracker that keeps the times it was given, and raises the errors it was told to."""
+    """A tracker that keeps the times it was given, and raises the errors it was given."""
 
     errors: list[Exception]
     times: list[float] = field(default_factory=list)

@@ -70,7 +70,7 @@ def test_exchanged_readings_of_the_wrist_have_a_remark(bundled_body: Body, excha
     )
 
 
-def test_exchanged_readings_are_told_by_all_frames_of_a_recording_together(bundled_body: Body) -> None:
+def test_exchanged_readings_are_found_by_all_frames_of_a_recording_together(bundled_body: Body) -> None:
     """Frames in which both joints read the same tell nothing by themselves."""
     found = np.radians([[20.0, 25.0, 10.0], [-40.0, 17.0, 10.0], [30.0, -5.0, 10.0]])
     read = found[:, [1, 0, 2]] + np.radians(4.0)

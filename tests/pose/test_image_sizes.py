@@ -41,7 +41,7 @@ def test_estimate_of_any_size_explains_its_mask(bundled_body: Body, size: tuple[
 
 
 @pytest.mark.parametrize("turn", [0.7, 4.7])
-def test_mode_of_a_thin_tool_is_told_in_images_that_show_it(bundled_body: Body, turn: float) -> None:
+def test_mode_of_a_thin_tool_is_found_in_images_that_show_it(bundled_body: Body, turn: float) -> None:
     camera = Camera(1300, 1024, 650.0, 650.0, 650.0, 512.0)
     pose = lookat_pose(0.9, turn, 0.4, 0.33)
     mask = Renderer(bundled_body, camera, threads=1).masks(pose[None], JOINTS)[0]

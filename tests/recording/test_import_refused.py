@@ -215,8 +215,8 @@ def test_truncated_recording_is_refused(refused: Refused, tmp_path: Path, kind: 
     data = file.read_bytes()
     for share in (0.0, 0.001, 0.05, 0.4, 0.8, 0.97):
         file.write_bytes(data[: int(share * len(data))])
-        told = refused(bag)
-        assert told.startswith((f"{bag}: expected a ROS recording", f"{bag}: --image-topic: expected"))
+        message = refused(bag)
+        assert message.startswith((f"{bag}: expected a ROS recording", f"{bag}: --image-topic: expected"))
 
 
 @pytest.mark.parametrize("text", ["", "[1, 2", "a: 1", "rosbag2_bagfile_information: {version: 99}", "\0"])
@@ -270,9 +270,9 @@ def test_unusable_reading_table_is_refused_with_line(
 def test_video_requires_camera_and_readings(refused: Refused, tmp_path: Path) -> None:
     write_video(tmp_path / "video.avi", 2)
     (tmp_path / "camera.yaml").write_text(CAMERA)
-    told = "a video needs a camera file and a table of readings; got none"
-    assert refused("video.avi").startswith(f"video.avi: --camera, --joints: {told}; without a calibration: ")
-    assert refused("video.avi", "--camera", "camera.yaml") == f"video.avi: --joints: {told}"
+    message = "a video needs a camera file and a table of readings; got none"
+    assert refused("video.avi").startswith(f"video.avi: --camera, --joints: {message}; without a calibration: ")
+    assert refused("video.avi", "--camera", "camera.yaml") == f"video.avi: --joints: {message}"
 
 
 # options and places

@@ -25,7 +25,7 @@ def results(joints: np.ndarray, readings: np.ndarray, *, bad: range = range(0)) 
     }
 
 
-def test_exchange_is_told_by_the_readings_of_the_other_tool() -> None:
+def test_exchange_is_found_by_the_readings_of_the_other_tool() -> None:
     rng = np.random.default_rng(0)
     true = rng.uniform(-0.8, 0.8, (2, 6, 3))
     read = true + np.deg2rad(8) * rng.standard_normal(true.shape)
@@ -42,7 +42,7 @@ def test_two_frames_tell_nothing() -> None:
 
 
 @pytest.mark.parametrize("start", [0, 25])
-def test_exchange_while_followed_is_told_with_its_first_frame(start: int) -> None:
+def test_exchange_while_followed_is_found_with_its_first_frame(start: int) -> None:
     rng = np.random.default_rng(2)
     true = np.cumsum(0.03 * rng.standard_normal((2, 60, 3)), axis=1) + np.array([0.5, -0.5])[:, None, None]
     read = true + np.deg2rad(8) * rng.standard_normal((2, 1, 3))

@@ -68,7 +68,7 @@ def test_point_selects_instrument(model: Sam2, size: tuple[int, int]) -> None:
     assert_alike(model.segment(image, Hints(points=[point])), bar & near(point, size))
 
 
-def told(tmp_path: Path, family: str, monkeypatch: pytest.MonkeyPatch, hints: Hints) -> dict[str, np.ndarray]:
+def inputs_of(tmp_path: Path, family: str, monkeypatch: pytest.MonkeyPatch, hints: Hints) -> dict[str, np.ndarray]:
     """Give the input tensors of a family's decoder for prompts in an image of 640 x 480 px."""
     heard: list[dict[str, np.ndarray]] = []
     run = OnnxModel.run
@@ -78,7 +78,7 @@ def told(tmp_path: Path, family: str, monkeypatch: pytest.MonkeyPatch, hints: Hi
 
 
 def test_box_is_clipped_to_image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    tensors = told(tmp_path, "osam", monkeypatch, Hints(box=(-50, -50, 320, 900)))
+    tensors = inputs_of(tmp_path, "osam", monkeypatch, Hints(box=(-50, -50, 320, 900)))
     assert tensors["point_coords"].tolist() == [[[0, 0], [512, 1024]]]
 
 

@@ -60,7 +60,7 @@ def world() -> StereoWorld:
     return StereoWorld(left, [seen(truth) for truth in left.truths], first)
 
 
-def test_both_eyes_tell_more_than_one(world: StereoWorld) -> None:
+def test_both_eyes_determine_more_than_one(world: StereoWorld) -> None:
     both = world.follow()
     one = world.follow(lambda k: world.left.masks[k], tracker=world.tracker(SMALL))
     assert np.median(world.errors_mm(both)) < 0.5

@@ -5,7 +5,7 @@ masks alone decided.
 
 At the pose that fits all views together, the distances of one view's contour from the outline show where that view
 alone would have the instrument. A small rotation w of the view about the reference camera moves the instrument in
-that view only, so w is a further unknown beside the pose. A wrong baseline looks like a rotation as well: at the
+that view only, so w is estimated together with the pose. A wrong baseline looks like a rotation as well: at the
 distance z, an error e of the baseline is a rotation by e / z.
 """
 
@@ -64,7 +64,7 @@ class LocalSearch:
 
     @property
     def _small(self) -> int:
-        """The divisor of the small size, at which the mask is still large enough to tell modes."""
+        """The divisor of the small size, at which the mask is still large enough to distinguish modes."""
         mask = self._views[0].evidence.mask
         legible = int(np.sqrt(np.count_nonzero(mask) / _LEAST_AREA))
         return max(1, min(int(mask.shape[1] / self._config.refine.width_px + 0.5), legible))
@@ -72,7 +72,7 @@ class LocalSearch:
     def _coverage(self, shrink: int) -> Coverage:
         """Return the coverage of all views at 1 / ``shrink`` of the main one's size."""
         outline, width = self._config.refine.outline, self._views[0].evidence.camera.width
-        if shrink > 1:  # where modes only need to be told apart
+        if shrink > 1:  # where modes only need to be distinguished
             outline = replace(outline, cauchy=outline.small_cauchy, lines_per_pixel=1)
         sized = []
         for view in self._views:

@@ -67,7 +67,7 @@ class Steps:
 
     @staticmethod
     def of(config: OutlineConfig, shrink: int, iterations: int | None = None) -> Steps:
-        """Return the steps on the coverage at 1 / ``shrink`` of the image size, where modes only need to be told apart.
+        """Return the steps on the coverage at 1 / ``shrink`` of the image size, which only has to distinguish modes.
 
         ``iterations`` replaces the largest number of these, and another refinement continues then. A step within the
         tolerance, with which a refinement ends, is taken without drawing it.
@@ -118,7 +118,7 @@ def refine(
 ) -> list[Fit]:
     """Refine C starts on the sum of the outline's term and other ``terms``; returns their fits in the same order.
 
-    ``selection`` tells which of the poses take part in each iteration, ``derivatives`` how those of the outline are
+    ``selection`` is which of the poses take part in each iteration, ``derivatives`` how those of the outline are
     found.
     """
     return _Refinement(outline, tuple(terms), steps, derivatives).run(starts, selection)
@@ -183,7 +183,7 @@ class _Refinement:
         states.quadratic.information[index], states.quadratic.slope[index] = others.information, others.slope
         states.information[index] = states.weight[index, None, None] * information + others.information
         states.moved[index] = False
-        if self.steps.tested == "none":  # where the outline tells nothing, nothing holds back a step
+        if self.steps.tested == "none":  # where the outline has no information, nothing limits a step
             states.finished[index] |= ~information.any(axis=(1, 2))
 
     def _advance(self, states: _States, index: Indices, *, last: bool) -> None:
@@ -248,7 +248,7 @@ def minimise(
     """Find the changes (C, D) that minimise ``weight`` (C,) times an approximation together with other terms.
 
     ``damping`` (C,) times the diagonal of the information at no change keeps the changes small (Levenberg-Marquardt).
-    Without, only as little is added as makes it invertible: nothing may tell a hidden joint.
+    Without, only as little is added as makes it invertible: a hidden joint may be unobservable.
     """
     compared: Sequence[_kernel.Comparison] = ()
     factors: Sequence[float] = (1.0,)

@@ -178,7 +178,7 @@ class Coverage(OutlineTerm[DrawnCoverage]):
 
         The last unknowns, `SIDES` of each view, are the errors of the shaft's sides as a whole, in their standard
         deviations; they have no prior. ``noises`` are those of the views' contours. ``kept``
-        gives E further unknowns, if any, which stay beside the pose: (1, D + E + V * SIDES), in standard deviations.
+        gives E further unknowns, if any, kept with the pose: (1, D + E + V * SIDES), in standard deviations.
         ``drawn`` is the pose where it was drawn before, with derivatives. Only every ``stride``-th point of the
         outlines is used, which stands for those beside it. ``as_seen`` is whether errors are expected to be as large as
         the mask shows them at the pose, where that is more than usual (`shared_errors`).

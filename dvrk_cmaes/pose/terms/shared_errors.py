@@ -8,7 +8,7 @@ are eliminated, so that the pose is determined only by what they cannot explain.
 as a whole last for some tenths of a second: images of a session that follow each other share them, too.
 
 Their standard deviations are in proportion to the noise of the frame's contour. Noise that stays the same over more
-contour than a segmentation's usually does tells of shadows, which lie on the sides of the shaft above all. The factors
+contour than a segmentation's usually does indicates shadows, which lie on the sides of the shaft above all. The factors
 were fitted to the tips of 563 made frames of three generators, of which 248 are of followed recordings whose masks have
 shadows that last for seconds; the kinds of masks are those of smooth and of rough segmenters.
 """
@@ -65,7 +65,7 @@ def shared_errors(
     With ``offsets`` (N,), px, by which the mask lies outwards of the points, standard deviations are as large as the
     mask shows the errors, where that is more than usual. A shadow that is taken for the shaft moves one side of the
     mask by several pixels for a second. A few such frames would pull a session's solution as hard as many that are
-    right: the farther a stretch of the mask lies from where a pose expects it, the less it tells. The margin of the
+    right: the farther a stretch of the mask lies from where a pose expects it, the less it weighs. The margin of the
     whole mask stays as it is.
     """
     link, points = outline.link.astype(np.int64), np.ascontiguousarray(outline.points)
