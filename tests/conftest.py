@@ -218,6 +218,13 @@ def searches_short() -> Iterator[None]:
 
 
 @pytest.fixture
+def search_short() -> Iterator[None]:
+    """Let the searches of a test be as short where those of its file's other tests are as usual."""
+    with short_searches():
+        yield
+
+
+@pytest.fixture
 def small_pictures() -> Iterator[None]:
     """Let commands of a test draw frames in their own size, and pages without pictures."""
     with plain_pictures(), small_overlays():

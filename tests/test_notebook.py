@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from helpers.places import SCRIPTS
+from helpers.plain_pictures import small_sessions
 from helpers.printed_blocks import run, words
 
 
@@ -34,7 +35,7 @@ def test_notebook_runs_from_a_folder_to_plots_as_its_outputs_show(monkeypatch: p
     for cell in notebook["cells"]:
         if cell["cell_type"] == "code":
             stored, printed = cell["outputs"], StringIO()
-            with redirect_stdout(printed):
+            with redirect_stdout(printed), small_sessions():
                 exec(compile("".join(cell["source"]), cell["id"], "exec"), names)
             shown = "".join(text for one in stored if one["output_type"] == "stream" for text in one["text"])
             assert words(printed.getvalue()) == words(shown)

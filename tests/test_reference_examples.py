@@ -19,7 +19,7 @@ import pytest
 from helpers.files import read_mask
 from helpers.made_examples import make_examples
 from helpers.places import ROOT
-from helpers.plain_pictures import plain_pictures, small_overlays
+from helpers.plain_pictures import plain_pictures, small_overlays, small_sessions
 from helpers.printed_blocks import PROGRAM, Block, blocks, has_in_order, printed_parts, run, words
 from helpers.processes_here import processes_here
 from helpers.shared_estimates import shared_estimates, short_searches
@@ -28,7 +28,6 @@ from dvrk_cmaes import EstimateConfig, prepare, read_camera
 from dvrk_cmaes.cli.app import app
 from dvrk_cmaes.frames.session_toml import read_session_toml
 from dvrk_cmaes.io.toml_file import updated
-from dvrk_cmaes.synth import session as made_sessions
 
 PAGES = ROOT / "data" / "reference"
 README = {line for block in blocks((ROOT / "README.md").read_text(encoding="utf-8")) for line in block.commands}
@@ -81,16 +80,7 @@ def needed(command: str) -> str | None:
 @pytest.fixture(scope="module", autouse=True)
 def quicker() -> Iterator[None]:
     """Let commands do without processes and pictures, search shortly, estimate once, and draw quarter-size images."""
-    camera = made_sessions.default_camera
-    with (
-        pytest.MonkeyPatch.context() as patch,
-        processes_here(),
-        shared_estimates(),
-        short_searches(),
-        plain_pictures(),
-        small_overlays(),
-    ):
-        patch.setattr(made_sessions, "default_camera", lambda level: camera(level).scaled(320, 240))
+    with processes_here(), shared_estimates(), short_searches(), plain_pictures(), small_overlays(), small_sessions():
         yield
 
 

@@ -21,9 +21,8 @@ from dvrk_cmaes import (
     SolvedSession,
     calibrate_session,
 )
-from dvrk_cmaes.config import SessionConfig
 
-ROUGH = EstimateConfig(session=SessionConfig(test_camera=False))
+ROUGH = replace(EstimateConfig(), session=replace(EstimateConfig().session, test_camera=False))
 """Settings for tests of other things than the camera."""
 
 
@@ -84,7 +83,7 @@ def test_scatter_of_the_readings_is_estimated_by_joint(bundled_body: Body) -> No
     assert np.degrees(plain["wrist_yaw"]) < 3.0  # those of the level are exact
 
 
-def test_frames_near_each_other_in_time_tell_less_as_their_masks_err_alike(bundled_body: Body) -> None:
+def test_frames_near_each_other_in_time_count_less_as_their_masks_err_alike(bundled_body: Body) -> None:
     frames = make_frames_in_memory(bundled_body, 8)[2]
 
     def std(interval: float) -> np.ndarray:

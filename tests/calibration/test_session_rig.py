@@ -1,4 +1,4 @@
-"""The rotation of the right eye against the rig's file: told by a session's frames, and used."""
+"""The rotation of the right eye against the rig's file: estimated from a session's frames, and used."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from dvrk_cmaes import Body, FrameData, Renderer, calibrate_session
 @pytest.mark.parametrize("scale", [1.0, 1.2, 0.8])
 def test_another_radius_is_a_doubt_and_the_right_one_is_none(bundled_body: Body, scale: float) -> None:
     """Frames that are fitted with another shaft lie farther away in proportion to its radius."""
-    _, _, frames = make_frames_in_memory(bundled_body, 10, level="clean")
+    _, _, frames = make_frames_in_memory(bundled_body, 8, level="clean")
     seen = []
     for frame in frames:
         assert frame.result.camera_from_root is not None

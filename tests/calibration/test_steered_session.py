@@ -139,7 +139,7 @@ def test_an_arm_with_another_camera_in_the_tip_keeps_its_own(
     both = solved_together(
         {
             name: lambda own=own: begin_arm(own, setup_of(bundled_body)).then(lambda found: found[0])
-            for name, own in (("PSM1", frames), ("PSM2", off))
+            for name, own in (("PSM1", frames), ("PSM2", off[::2]))
         }
     )
     first, second = (solved.calibration.endoscope for solved in both.values())

@@ -10,12 +10,10 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from selenium import webdriver
-from selenium.webdriver.chrome.options import Options
-from selenium.webdriver.chrome.service import Service
-from selenium.webdriver.remote.webdriver import WebDriver
+if TYPE_CHECKING:
+    from selenium.webdriver.remote.webdriver import WebDriver
 
 _FLAGS = (
     "--headless",
@@ -33,7 +31,11 @@ _FLAGS = (
 
 @contextmanager
 def chromium(profile: Path) -> Iterator[WebDriver]:
-    """Run headless Chromium with a new profile."""
+    """Run headless Chromium with a new profile. Selenium takes half a second to import in each process of tests."""
+    from selenium import webdriver
+    from selenium.webdriver.chrome.options import Options
+    from selenium.webdriver.chrome.service import Service
+
     browser, server = shutil.which("chromium"), shutil.which("chromedriver")
     assert browser is not None
     assert server is not None

@@ -15,6 +15,7 @@ import pytest
 
 from dvrk_cmaes import InputError
 from dvrk_cmaes.report import template, track_page
+from dvrk_cmaes.synth import session
 
 ONE_PIXEL: Final = "data:image/webp;base64,UklGRhoAAABXRUJQVlA4TA0AAAAvAAAAEAcQERGIiP4HAA=="
 
@@ -35,6 +36,15 @@ def small_overlays() -> Iterator[None]:
     """Let frames be drawn in their own size, not enlarged: a drawing of 320 x 240 px takes a tenth of the time."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("dvrk_cmaes.draw.overlay.SMALLEST", 1)
+        yield
+
+
+@contextmanager
+def small_sessions() -> Iterator[None]:
+    """Let sessions that are drawn without a camera file have images of 320 x 240 px."""
+    camera = session.default_camera
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(session, "default_camera", lambda level: camera(level).scaled(320, 240))
         yield
 
 

@@ -138,6 +138,7 @@ def test_calibration_is_read_and_written_in_python(kept: Kept) -> None:
     assert again["std"]["base_rotation_deg"] == pytest.approx(document["std"]["base_rotation_deg"], rel=1e-4)
 
 
+@pytest.mark.usefixtures("search_short")
 def test_two_arms_are_calibrated_each_and_to_each_other(kept: Kept) -> None:
     session = synth(kept, *TOOLS)
     out = kept("calibrate", session, "--out", OUT).folder

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from helpers.browser import CONTRAST, complaints, emulate, requests, without_scripts
 from helpers.page_calibrations import calibration, solved, write_calibrated
 from helpers.page_results import doubtful, failed, result, write_results
 from helpers.track_rows import recording, row
-from selenium.webdriver.common.by import By
-from selenium.webdriver.remote.webdriver import WebDriver
 
 from dvrk_cmaes.report.page import write_page
 from dvrk_cmaes.report.template import write
 from dvrk_cmaes.report.track_page import PAGE, track_page
+
+if TYPE_CHECKING:
+    from selenium.webdriver.remote.webdriver import WebDriver
 
 pytestmark = pytest.mark.browser
 
@@ -65,29 +67,29 @@ def test_page_fits_a_phone_and_its_texts_have_contrast(page: WebDriver, report: 
 @pytest.mark.parametrize("report", ["session"], indirect=True)
 def test_worst_frame_is_first_and_frames_are_found_by_a_reason(page: WebDriver, report: str) -> None:
     assert page.execute_script(SHOWN) == ["frame-torn", "frame-odd", "frame-fine"]
-    page.find_element(By.PARTIAL_LINK_TEXT, "readings far off").click()
+    page.find_element("partial link text", "readings far off").click()
     assert page.execute_script(SHOWN) == ["frame-odd"]
-    assert page.find_element(By.ID, "found").text == "1 of 3"
-    page.find_element(By.CSS_SELECTOR, "#frame-odd summary").click()
-    assert "wrist_pitch" in page.find_element(By.ID, "frame-odd").text
+    assert page.find_element("id", "found").text == "1 of 3"
+    page.find_element("css selector", "#frame-odd summary").click()
+    assert "wrist_pitch" in page.find_element("id", "frame-odd").text
 
 
 @pytest.mark.parametrize("report", ["track"], indirect=True)
 def test_recording_plays_and_a_click_in_a_curve_goes_there(page: WebDriver, report: str) -> None:
-    where = page.find_element(By.ID, "where")
+    where = page.find_element("id", "where")
     assert where.text == "0000, ok"
-    page.find_element(By.ID, "play").click()
+    page.find_element("id", "play").click()
     page.execute_async_script("setTimeout(arguments[0], 2500)")
     assert where.text == "0027, ok"
-    assert page.find_element(By.ID, "play").text == "play"
-    page.find_element(By.CSS_SELECTOR, "[data-seek]").click()
+    assert page.find_element("id", "play").text == "play"
+    page.find_element("css selector", "[data-seek]").click()
     assert where.text == "0003, lost"
-    page.find_element(By.CSS_SELECTOR, "svg[data-seeks]").click()  # in its middle
+    page.find_element("css selector", "svg[data-seeks]").click()  # in its middle
     assert where.text in ("0012, ok", "0015, ok")
 
 
 @pytest.mark.parametrize("report", ["session"], indirect=True)
 def test_page_can_be_read_without_scripts(driver: WebDriver, report: str) -> None:
     with without_scripts(driver, report) as page:
-        assert [one.text for one in page.find_elements(By.CSS_SELECTOR, "article h3 bdi")] == ["torn", "odd", "fine"]
-        assert page.find_element(By.CSS_SELECTOR, "svg.chart").is_displayed()
+        assert [one.text for one in page.find_elements("css selector", "article h3 bdi")] == ["torn", "odd", "fine"]
+        assert page.find_element("css selector", "svg.chart").is_displayed()

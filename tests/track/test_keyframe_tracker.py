@@ -23,19 +23,6 @@ def world() -> MovingWorld:
     return moving_world(right=0.004)
 
 
-@pytest.fixture(scope="module")
-def before(world: MovingWorld) -> tuple[Tracker, list[TrackResult]]:
-    """A tracker that has followed until its keyframes are to be solved for the first time, and its results."""
-    tracker, results = Tracker(world.camera, world.body, config=CONFIG), []
-    for k in range(len(world.masks)):
-        tracker.add_readings(world.time(k), world.readings[k])
-        results.append(tracker.step(world.time(k), world.masks[k]))
-        if tracker.solution_due:
-            break
-    assert tracker.solution_due
-    return tracker, results
-
-
 def step(tracker: Tracker, world: MovingWorld, k: int) -> TrackResult:
     tracker.add_readings(world.time(k), world.readings[k])
     return tracker.step(world.time(k), world.masks[k])
@@ -108,10 +95,10 @@ def test_solution_is_followed_within_the_error_that_it_states(
 
 
 @pytest.fixture(scope="module")
-def calibration(before: tuple[Tracker, list[TrackResult]], world: MovingWorld) -> SessionCalibration:
-    solution = before[0].problem().solve(world.body)
-    assert solution.calibration is not None
-    return solution.calibration
+def calibration(solved: tuple[Tracker, dict[int, Solution], list[TrackResult]]) -> SessionCalibration:
+    found = solved[1][12].calibration
+    assert found is not None
+    return found
 
 
 def test_given_calibration_is_given_up_where_the_camera_was_moved(calibration: SessionCalibration) -> None:
@@ -123,8 +110,10 @@ def test_given_calibration_is_given_up_where_the_camera_was_moved(calibration: S
     assert "base not known yet" in tracker.base_state
 
 
-def test_solution_of_a_base_that_was_given_up_is_not_used(before: tuple[Tracker, list[TrackResult]]) -> None:
-    tracker, _ = before
+def test_solution_of_a_base_that_was_given_up_is_not_used(
+    solved: tuple[Tracker, dict[int, Solution], list[TrackResult]],
+) -> None:
+    tracker, *_ = solved
     other = replace(tracker.problem(), base=7)
     assert not tracker.use(Solution(None, "of another base", 4, {}, other.base))
     assert "of another base" not in tracker.base_state
