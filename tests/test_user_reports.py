@@ -316,10 +316,12 @@ def test_recording_that_was_cut_off_names_what_mends_it(reports: Path, run: Run,
     assert ("recover" in refusal) == (name != "rec.bag.active")
 
 
-@pytest.mark.parametrize("name", ["ls_png", "sam2_obj"])
-def test_masks_that_meet_no_image_are_refused(reports: Path, name: str) -> None:
+def test_masks_that_meet_no_image_are_refused_and_those_of_tasks_are_paired_in_order(reports: Path) -> None:
     with pytest.raises(InputError, match=r"masks: expected masks .*"):
-        read_session(reports / "names-do-not-meet" / name)
+        read_session(reports / "names-do-not-meet" / "sam2_obj")
+    session = read_session(reports / "names-do-not-meet" / "ls_png")
+    assert [frame.mask.name[:6] for frame in session.frames if frame.mask] == ["task-1", "task-2"]
+    assert session.warnings[0].startswith("paired in order")
 
 
 @pytest.mark.parametrize("names", ["", "frame_00000{}", "{}", "000{}_jpg.rf.0a1b2c", "mask_000{}"])

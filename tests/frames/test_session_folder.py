@@ -47,11 +47,6 @@ def test_golden_tips_are_one_or_two(folder: Path, tips: int) -> None:
     np.testing.assert_allclose(again, frame.tips[:tips], atol=1e-9)
 
 
-def test_other_folder_is_refused(tmp_path: Path) -> None:
-    assert message(tmp_path / "nowhere").startswith(f"{tmp_path / 'nowhere'}: no such folder; expected a session")
-    assert message(tmp_path).startswith(f"{tmp_path / 'masks'}: expected masks")
-
-
 def test_two_masks_of_one_frame_are_refused(folder: Path) -> None:
     shutil.copy(folder / "masks" / "0000.png", folder / "masks" / "0000.jpg")
     assert "expected one file for frame 0000" in message(folder)

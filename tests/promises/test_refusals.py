@@ -108,7 +108,7 @@ WORDS: dict[str, tuple[list[object], str]] = {
     "required option": (["estimate", "--mask", "a.png"], r"--camera: expected a camera file, got none"),
     "required argument": (["export", "--to", "tf"], r"RESULTS: missing; it is required"),
     "no such file": (estimate_with(mask="nothere.png"), r"nothere\.png: no such file"),
-    "no such session": (["batch", "nothere"], r"nothere: no such"),
+    "no such session": (["batch", "nothere"], r"nothere: no such folder; expected a session"),
     "no such frame": (["batch", DEMO, "--out", "out", "--frames", "0009"], r".*0009"),
     "file as a session": (["batch", DEMO / "joints.csv", "--out", "out"], r".*joints\.csv: .*expected"),
     "folder as a mask": (estimate_with(mask=DEMO), r".*demo: expected .*folder|.*demo: .*"),

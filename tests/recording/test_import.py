@@ -144,7 +144,7 @@ def test_readings_are_imported_alone_where_no_topic_of_images_is_asked_for(impor
     summary = imported(write_bag(tmp_path / "bag", "mcap", good()), "--image-topic", "none")
     assert "images: none, readings only" in summary["notes"]
     assert not any(path.is_dir() or "camera" in path.name for path in Path("session").iterdir())
-    assert [float(row["jaw"]) for row in rows("joints.csv") if row["jaw"]]
+    assert any(row["jaw"] for row in rows("joints.csv"))
 
 
 @pytest.mark.parametrize(
