@@ -17,16 +17,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.blocks import ENDOSCOPE, Calibration, PredictedBlock
-from dvrk_cmaes.geometry import adjoint, change_between, exp_rotation, inverse, moved, rotation_about_z, transform
+from dvrk_cmaes.geometry import (
+    Float64,
+    Indices,
+    adjoint,
+    change_between,
+    exp_rotation,
+    inverse,
+    moved,
+    rotation_about_z,
+    transform,
+)
 from dvrk_cmaes.instrument.endoscope import STRAIGHT, ecm_from_tip_and_jacobian
 from dvrk_cmaes.io.typed_document import Number
 from dvrk_cmaes.pose.refine.information import times
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.model import SessionModel
-
-Float64 = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 OFFSET_STD: Final = np.array([np.deg2rad(3.0), np.deg2rad(3.0), 0.005, np.deg2rad(3.0)])
 """Prior standard deviations of the offsets of the ECM's joints, rad and m."""
@@ -290,9 +297,12 @@ class Steered(_Moving):
 
 @dataclass(frozen=True, eq=False)
 class Pieces(_Moving):
-    """An endoscope that is not read, in N frames, each in a ``piece`` (N,) of the session; piece 0 is the reference."""
+    """An endoscope that is not read, in N frames, each in a piece (N,) of the session, which is its ``place``.
 
-    piece: Indices
+    Piece 0 is the reference.
+    """
+
+    place: Indices
 
     @classmethod
     def of(cls, piece: Indices, cameras: Float64) -> Pieces:
@@ -300,30 +310,25 @@ class Pieces(_Moving):
         start = EndoscopeValues.of_pieces(cameras)
         return cls(start, 0.1 * start.std, piece)
 
-    @property
-    def place(self) -> Indices:
-        """Number (N,) of the place at which the endoscope stands in each frame; -1 while it is moved."""
-        return self.piece
-
     def relative(self, values: EndoscopeValues) -> Float64:
         """Compute the reference camera's pose (N, 4, 4) in each frame's camera, m."""
-        return np.concatenate([np.eye(4)[None], values.poses])[self.piece]
+        return np.concatenate([np.eye(4)[None], values.poses])[self.place]
 
     def jacobian(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:
         """Compute the changes (N, 6, M) of each frame's camera_from_base by the unknowns."""
-        out = np.zeros((len(self.piece), 6, len(values.deviation)))
+        out = np.zeros((len(self.place), 6, len(values.deviation)))
         to_base = adjoint(inverse(camera_from_base)) @ in_tip(values.poses).swapaxes(1, 2)
         for number, of_piece in enumerate(to_base, start=1):
-            out[self.piece == number, :, 6 * number - 6 : 6 * number] = of_piece
+            out[self.place == number, :, 6 * number - 6 : 6 * number] = of_piece
         return out
 
     def loadings(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:
         """Compute the changes (N, 6, 4) of camera_from_base by a standard deviation of a frame's own errors."""
-        return np.zeros((len(self.piece), 6, 4))
+        return np.zeros((len(self.place), 6, 4))
 
     def subset(self, index: Sequence[int] | NDArray[np.integer]) -> Pieces:
         """Return the endoscope in the frames at some indices."""
-        return replace(self, piece=self.piece[index])
+        return replace(self, place=self.place[index])
 
 
 Endoscope = Steered | Pieces

@@ -154,7 +154,7 @@ def _bases_of_runs(model: SessionModel, modes: Sequence[Sequence[Mode]], roll: f
 
 def describe_pieces(pieces: Pieces, frames: Sequence[SessionFrame]) -> str:
     """Say between which frames the base or the camera moved."""
-    cuts = np.flatnonzero(np.diff(pieces.piece)).tolist()
+    cuts = np.flatnonzero(np.diff(pieces.place)).tolist()
     between = ", ".join(f"{frames[i].name} and {frames[i + 1].name}" for i in cuts)
     return (
         f"the arm's base or the camera moved between frames {between}: {len(pieces.start.poses) + 1} bases, and all "
