@@ -54,7 +54,7 @@ _OF_A_LAG, _OF_NONE = 0.5, 0.7  # of that, least standard deviation of a lag, an
 _UNDETERMINED, _UNKNOWN = 2.0, 3.0  # frames, least and largest standard deviation of a lag that is not determined
 _LEAST_ALIKE = 4.0  # frames that count as one, however far apart they are: they share errors of masks and readings
 # decision
-_SIGNIFICANT = 2.0  # standard deviations
+_SIGNIFICANT, _SHOWN = 1.5, 2.0  # standard deviations, of a lag and of the frames' agreement
 _LEAST_LAG = 0.3  # frames, below which a lag is not corrected
 _LARGEST_STD = 1.5  # frames, above which the lag is not determined
 _AGREE = 3.0  # standard deviations of each lag, within which those of several arms are taken for one
@@ -98,8 +98,8 @@ class LagCurve(Document):
         weights = np.exp(-0.5 * (squares + (self.lags / unknown) ** 2))
         return float(min(np.sqrt(weights @ (self.lags - about) ** 2 / weights.sum()), np.hypot(unknown, about)))
 
-    def shows(self, value: float) -> bool:
-        """Whether frames agree better at a lag than at none, by `_SIGNIFICANT` standard deviations of their scatter.
+    def shows(self, value: float, frames: int) -> bool:
+        """Whether some ``frames`` agree better at a lag than at none, by `_SHOWN` standard deviations of their scatter.
 
         Lags within one step of none are not distinguished by the curve, and count as shown.
         """
@@ -107,7 +107,7 @@ class LagCurve(Document):
         if about[np.abs(self.lags).argmin()]:
             return True
         gain = np.interp(0.0, self.lags, self.misfit) - self.misfit[about].min(initial=np.inf)
-        return bool(_FREEDOM * self.frames * gain > _SIGNIFICANT**2 * self.misfit.min())
+        return bool(_FREEDOM * frames / _LEAST_ALIKE * gain > _SHOWN**2 * self.misfit.min())
 
 
 def lag_taken_out(lag: Lag | None, curve: LagCurve | None, unit: Unit, unknown: float) -> tuple[float, float] | None:
@@ -345,7 +345,7 @@ def in_common(lags: Sequence[SessionLag]) -> list[SessionLag]:
     values, stds = found.T
     weights = stds**-2.0
     mean = float(weights @ values / weights.sum())
-    shown = any(lag.curve is not None and lag.curve.shows(mean) for lag in lags)
+    shown = any(lag.curve is not None and lag.curve.shows(mean, len(lag.times)) for lag in lags)
     shared = [lag.with_estimate((mean, float(weights.sum() ** -0.5)), shown=shown) for lag in lags]
     agree = (np.abs(values - mean) <= _AGREE * stds).all()
     usable = all(lag.lag is not None and lag.has_readings(lag.value).sum() >= LEAST_AT_LAG for lag in shared)

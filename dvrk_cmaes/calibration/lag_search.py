@@ -140,7 +140,7 @@ class _LagSearch:
         if text:
             return found
         estimate = self._estimate(float(lags[best]))
-        return found.with_estimate(estimate, shown=estimate is not None and curve.shows(estimate[0]))
+        return found.with_estimate(estimate, shown=estimate is not None and curve.shows(estimate[0], len(self.modes)))
 
     def _costs(self, low: float, high: float, step: float) -> tuple[Float64, Float64]:
         """Return the lags (L,) of a search and the mean misfits (L,) there; infinite with too few readings."""

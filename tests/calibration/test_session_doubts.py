@@ -166,7 +166,7 @@ def test_joints_far_from_what_is_expected_of_an_image_are_a_doubt(
 
 @pytest.mark.parametrize(("misfits", "shown"), [([0.24, 0.24, 0.24, 0.24], False), ([0.24, 0.24, 0.2, 0.23], True)])
 def test_lag_is_shown_by_frames_that_agree_better_at_it_than_at_none(misfits: list[float], *, shown: bool) -> None:
-    assert LagCurve("frames", tuple(enumerate(misfits)), 15.0).shows(2.2) == shown
+    assert LagCurve("frames", tuple(enumerate(misfits))).shows(2.2, 60) == shown
 
 
 @pytest.mark.parametrize(("seconds", "expected"), [(1 / 30, 4.4), (2.0, 15.0)])
