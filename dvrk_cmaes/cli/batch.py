@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,18 +21,18 @@ from dvrk_cmaes.cli.options import (
     SessionOptions,
     WholeOrNone,
     check_range,
+    options,
     parse_pixel,
 )
 from dvrk_cmaes.cli.session_tools import (
-    answer_by_arm,
-    doubt_exchanged,
+    Told,
+    open_session,
     output_folder,
     pictures_at,
-    read_arms,
     reason_lines,
+    tell,
 )
 from dvrk_cmaes.cli.terminal import (
-    DOUBTFUL,
     INTERRUPTED,
     Line,
     exit_code,
@@ -40,7 +40,6 @@ from dvrk_cmaes.cli.terminal import (
     print_error,
     progress,
     stopping_on_interrupt,
-    warn,
 )
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import counted
@@ -52,8 +51,7 @@ if TYPE_CHECKING:
 _LONGEST_FRAME = 1e6  # s, of --time-limit
 
 
-@Parameter(name="*", group=FOLDER)
-@dataclass(frozen=True, kw_only=True)
+@options(group=FOLDER)
 class BatchOptions:
     """What is estimated, by what, and where results go.
 
@@ -196,8 +194,10 @@ def batch(
     wanted.check()
     session, pictures = pictures_at(session if wanted.scheduler is None else session.absolute())
     with output_folder(wanted.out, session, "results", "batch") as results:
-        labelled = wanted.label is not None
-        read = read_arms(session, given, calibrated, joints=wanted.joints, reading=reading, labelled=labelled)
+        labels = session / "labels"
+        labelled = wanted.label is not None and labels.is_dir() and not (session / "masks").exists()
+        masks = labels if labelled else None
+        read = open_session(session, given, calibrated, joints=wanted.joints, reading=reading, masks=masks)
         arms = {name: wanted.asked(arm, segment) for name, arm in read.items()}
         finished: dict[str, BatchSummary] = {}
         for name, arm in arms.items():
@@ -212,33 +212,25 @@ def batch(
             )
             if done.interrupted:
                 break
-        doubtful = not done.interrupted and doubt_exchanged({name: each.results for name, each in finished.items()})
-        _report_all(arms, finished, results, json=json)
-        if done.interrupted:
-            again = "the same command" if wanted.resume else "the same command without --overwrite"
-            counts = done.document["counts"]
-            left = f"{counts['missing']} of {counts['frames']} frames are left"
-            print_error(f"interrupted: {left}; {again} goes on from here")
-            return INTERRUPTED
-        code = exit_code(result.status for each in finished.values() for result in each.results.values())
-        return code or (DOUBTFUL if doubtful else 0)
+        told = {name: _told(arms[name], each, results / name) for name, each in finished.items()}
+        code = tell(told, results, {}, json=json)
+    if not done.interrupted:
+        return code
+    again = "the same command" if wanted.resume else "the same command without --overwrite"
+    counts = done.document["counts"]
+    print_error(f"interrupted: {counts['missing']} of {counts['frames']} frames are left; {again} goes on from here")
+    return INTERRUPTED
 
 
-def _report_all(
-    arms: Mapping[str, ArmInSession], finished: Mapping[str, BatchSummary], out: Path, *, json: bool
-) -> None:
-    """Print the summaries of all arms."""
+def _told(arm: ArmInSession, done: BatchSummary, out: Path) -> Told:
+    """Return what is said of an arm; one that was interrupted is not compared with others."""
     from dvrk_cmaes.joints.prior import describe_commanded
 
-    documents = {name: done.document for name, done in finished.items()}
-    lines = {name: _lines(done.document, out / name) for name, done in finished.items()}
-    answer_by_arm(documents, lines, json=json)
-    for name, done in finished.items():
-        commanded = done.document.get("commanded")
-        texts = [*arms[name].session.rig.remarks, *([describe_commanded(commanded)] if commanded else [])]
-        texts += done.document.get("rig_doubts", ())
-        for text in texts:
-            warn(text, name)
+    commanded, results = done.document.get("commanded"), done.results
+    warnings = [*arm.session.rig.remarks, *([describe_commanded(commanded)] if commanded else [])]
+    warnings += done.document.get("rig_doubts", ())
+    code = exit_code(result.status for result in results.values())
+    return Told(done.document, _lines(done.document, out), warnings, code, {} if done.interrupted else results)
 
 
 def _lines(document: dict[str, Any], folder: Path) -> Iterator[Line]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -24,31 +24,29 @@ from dvrk_cmaes.cli.options import (
     SessionOptions,
     WholeOrNone,
     check_range,
+    options,
 )
 from dvrk_cmaes.cli.session_tools import (
-    answer_by_arm,
-    doubt_exchanged,
+    Told,
     found_lines,
+    open_session,
     output_folder,
-    read_arms,
     reason_lines,
-    write_bases,
+    tell,
 )
-from dvrk_cmaes.cli.terminal import DOUBTFUL, INTERRUPTED, STATUS_STYLES, Line, note, progress, warn
+from dvrk_cmaes.cli.terminal import DOUBTFUL, INTERRUPTED, STATUS_STYLES, Line, note, progress
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.calibrate import SolvedSession
     from dvrk_cmaes.calibration.together import Begun
-    from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.frame import ArmInSession
 
 _LEAST_KEYFRAMES = 3
 _FIRST_FRAMES = 30  # at most, from which a camera without a file is found first
 
 
-@Parameter(name="*", group=FOLDER)
-@dataclass(frozen=True, kw_only=True)
+@options(group=FOLDER)
 class CalibrateOptions:
     """What is solved together, and where results go.
 
@@ -113,11 +111,54 @@ class CalibrateOptions:
             return replace(arm, session=chosen)
         return replace(arm, session=with_keyframes(chosen, self.keyframes))
 
-    def asked_lag(self) -> Lag | None:
-        """Return the lag that is given."""
-        from dvrk_cmaes.joints.lag import Lag
+    def with_camera(self, arm: ArmInSession) -> ArmInSession | None:
+        """Return a session whose camera is guessed with that estimated from some of its frames; None if interrupted.
 
-        return None if self.lag is None else Lag.parse("--lag", self.lag)
+        The frames are estimated again with that: with a guess that is far off, their poses disagree.
+        """
+        from tempfile import TemporaryDirectory
+
+        from dvrk_cmaes.calibration.together import solved_alone
+        from dvrk_cmaes.camera import Rig
+
+        frames = arm.session.frames[:: -(-len(arm.session.frames) // _FIRST_FRAMES)]
+        note(f"finding the camera with {len(frames)} frames")
+        with TemporaryDirectory(prefix="dvrk-cmaes-") as folder:
+            few = replace(arm, session=replace(arm.session, frames=frames))
+            solved = solved_alone(self.begin(few, Path(folder) / "session", refine=True))
+        if solved is None:
+            return None
+        rig = Rig(tuple(view.restored() for view in solved.calibration.views))
+        return replace(arm, session=replace(arm.session, rig=rig))
+
+    def begin(
+        self, arm: ArmInSession, target: Path, results: Path | None = None, *, refine: bool
+    ) -> Begun[SolvedSession | None]:
+        """Solve an arm's session from its results, or after estimating them; its result is None if interrupted."""
+        from dvrk_cmaes.calibration.together import Begun
+        from dvrk_cmaes.io.output import output
+        from dvrk_cmaes.joints.lag import Lag
+        from dvrk_cmaes.results.folder import ALONE, ResultsFolder, read_results
+        from dvrk_cmaes.runs.pool import Workers, pool_of, usable_cores
+
+        lag = None if self.lag is None else Lag.parse("--lag", self.lag)
+        with ExitStack() as stack:
+            stack.enter_context(output(target, "calibrate", kept=(ALONE,)))
+            most, frames = self.workers or usable_cores(), None if results is None else arm.session.frames
+            pool = stack.enter_context(pool_of(most, frames))
+            if results is not None:
+                alone = read_results(results)
+            else:
+                one = arm.with_config(replace(arm.method.config, threads=1))
+                done = estimated(one, target / ALONE, executor=pool)
+                if done.interrupted:
+                    return Begun.of(None)
+                alone = ResultsFolder(target / ALONE, done.results, None, None)
+            pool.report = stack.enter_context(progress())
+            from dvrk_cmaes.runs.calibrate_folder import begin_folder
+
+            begun = begin_folder(arm, target, alone, pool, Workers(notice=note).stage, refine_camera=refine, lag=lag)
+            return begun.within(stack.pop_all())
 
 
 def calibrate(
@@ -169,9 +210,9 @@ def calibrate(
 
     wanted.check(session / "calibration" if wanted.out is None else wanted.out)
     with output_folder(wanted.out, session, "calibration", "calibrate") as target:
-        lag, setup = wanted.asked_lag(), read_setup_joints(session / SETUP)
+        setup = read_setup_joints(session / SETUP)
         focal = wanted.guess(given.camera.camera)
-        read = read_arms(session, given, joints=wanted.joints, reading=reading, focal=focal)
+        read = open_session(session, given, joints=wanted.joints, reading=reading, focal=focal)
         arms = {name: wanted.share(arm) for name, arm in read.items()}
         for name, arm in arms.items():
             check_outer_joints([files.readings for files in arm.session.frames])
@@ -180,105 +221,27 @@ def calibrate(
 
         def begin(name: str) -> Begun[SolvedSession | None]:
             own = None if wanted.results is None else wanted.results / name
-            solve = partial(_begin_arm, count=wanted.workers, lag=lag)
-            arm = arms[name] if own is not None or not arms[name].session.guessed else _with_camera(arms[name], solve)
+            arm = arms[name] if own is not None or not arms[name].session.guessed else wanted.with_camera(arms[name])
             if arm is None:
                 return Begun.of(None)
-            return solve(arm, target / name, results=own, refine_camera=wanted.refine_camera)
+            return wanted.begin(arm, target / name, own, refine=wanted.refine_camera)
 
         with progress():
             found = solved_together({name: partial(begin, name) for name in arms})
         solved = {name: solution for name, solution in found.items() if solution is not None}
         if len(solved) < len(arms):
             return INTERRUPTED
-        _report(solved, target, json=json)
-        doubtful = doubt_exchanged({name: solution.results for name, solution in solved.items()})
-        if len(solved) > 1:
-            calibrations = {name: solution.calibration for name, solution in solved.items()}
-            doubtful = not write_bases(calibrations, setup, target, quiet=json) or doubtful
-    return DOUBTFUL if doubtful or any(map(_is_doubtful, solved.values())) else 0
+        told = {name: _told(solution, target / name, json=json) for name, solution in solved.items()}
+        return tell(told, target, setup, json=json)
 
 
-def _report(solved: Mapping[str, SolvedSession], target: Path, *, json: bool) -> None:
-    """Print what was found of each arm."""
-    for name, solution in solved.items():
-        for text in solution.calibration.remarks if not json else solution.calibration.warnings:
-            warn(text, name)
-    documents = {name: solution.calibration.to_dict() for name, solution in solved.items()}
-    lines = {name: _lines(solution, target / name) for name, solution in solved.items()}
-    answer_by_arm(documents, lines, json=json)
-
-
-def _with_camera(arm: ArmInSession, solve: Callable[..., Begun[SolvedSession | None]]) -> ArmInSession | None:
-    """Return a session whose camera is guessed with the camera estimated from some of its frames; None if interrupted.
-
-    The frames are estimated again with that: with a guess that is far off, their poses disagree. ``solve`` is
-    `_begin_arm` with all that is asked for.
-    """
-    from tempfile import TemporaryDirectory
-
-    from dvrk_cmaes.calibration.together import solved_alone
-    from dvrk_cmaes.camera import Rig
-
-    frames = arm.session.frames[:: -(-len(arm.session.frames) // _FIRST_FRAMES)]
-    note(f"finding the camera with {len(frames)} frames")
-    with TemporaryDirectory(prefix="dvrk-cmaes-") as folder:
-        few = replace(arm, session=replace(arm.session, frames=frames))
-        solved = solved_alone(solve(few, Path(folder) / "session", refine_camera=True))
-    if solved is None:
-        return None
-    rig = Rig(tuple(view.restored() for view in solved.calibration.views))
-    return replace(arm, session=replace(arm.session, rig=rig))
-
-
-def _begin_arm(
-    arm: ArmInSession,
-    target: Path,
-    *,
-    count: int | None,
-    lag: Lag | None,
-    results: Path | None = None,
-    refine_camera: bool,
-) -> Begun[SolvedSession | None]:
-    """Solve the session of one arm, from its results, or after estimating them; its result is None if interrupted."""
-    from dvrk_cmaes.calibration.together import Begun
-    from dvrk_cmaes.io.output import output
-    from dvrk_cmaes.results.folder import ALONE, read_results
-    from dvrk_cmaes.runs.pool import pool_of, usable_cores
-
-    session, most = arm.session, count or usable_cores()
-    with ExitStack() as stack:
-        stack.enter_context(output(target, "calibrate", kept=(ALONE,)))
-        processes = stack.enter_context(pool_of(most, None if results is None else session.frames))
-        if results is not None:
-            alone = read_results(results).frames
-        else:
-            results = target / ALONE
-            one = arm.with_config(replace(arm.method.config, threads=1))
-            done = estimated(one, results, executor=processes)
-            if done.interrupted:
-                return Begun.of(None)
-            alone = done.results
-        processes.report = stack.enter_context(progress())
-        from dvrk_cmaes.runs.calibrate_folder import begin_folder
-
-        begun = begin_folder(
-            arm,
-            target,
-            results,
-            processes,
-            results=alone,
-            progress=lambda stage, k: note(f"{stage}: {k} frames"),
-            refine_camera=refine_camera,
-            lag=lag,
-        )
-        return begun.within(stack.pop_all())
-
-
-def _is_doubtful(solved: SolvedSession) -> bool:
-    """Return whether the session is doubtful, or a frame of those that were solved together."""
-    together = (solved.results[name] for name in solved.leave_one_out)
-    return solved.calibration.status != "ok" or any(result.status != "ok" for result in together)
+def _told(solved: SolvedSession, out: Path, *, json: bool) -> Told:
+    """Return what is said of an arm that is doubtful if the session is, or a frame that was solved with it."""
+    calibration = solved.calibration
+    warnings = calibration.remarks if not json else calibration.warnings
+    statuses = {calibration.status, *(solved.results[name].status for name in solved.leave_one_out)}
+    code = DOUBTFUL if statuses != {"ok"} else 0
+    return Told(calibration.to_dict(), _lines(solved, out), warnings, code, solved.results, calibration)
 
 
 def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:

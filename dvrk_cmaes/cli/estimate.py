@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,6 +21,7 @@ from dvrk_cmaes.cli.options import (
     SegmentOptions,
     UrdfOptions,
     joint_files,
+    options,
     parse_pixel,
 )
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer, exit_code, note, table_lines, warn
@@ -32,14 +33,12 @@ if TYPE_CHECKING:
     from dvrk_cmaes.frames.frame import FrameFiles
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.joints.reading import FrameReadings
-    from dvrk_cmaes.joints.rows import ReadAs
     from dvrk_cmaes.results.result import Result
 
 _Hyphens = Parameter(allow_leading_hyphen=True)
 
 
-@Parameter(name="*", group=FRAME)
-@dataclass(frozen=True, kw_only=True)
+@options(group=FRAME)
 class FrameOptions:
     """The files of a frame, and where the instrument is in them.
 
@@ -80,6 +79,8 @@ class FrameOptions:
         Pixel u,v on the instrument: use only the connected region of the mask, or of the label, at this pixel.
     only
         Arm, such as PSM1, whose joints are read of files with those of several.
+    reading
+        How files of readings are read.
     """
 
     mask: Path | None = None
@@ -95,6 +96,7 @@ class FrameOptions:
     label: str | None = None
     pick: Annotated[str | None, _Hyphens] = None
     only: str | None = None
+    reading: ReadingOptions = ReadingOptions()
 
     def check(self, *, segmented: bool, uncalibrated: bool) -> None:
         """Raise an InputError for files that are missing or do not fit together.
@@ -144,13 +146,14 @@ class FrameOptions:
         right = FrameFiles(name, self.mask_right, {}, self.image_right, self.ignore_right, None, label, crop=crop)
         return replace(files, others={"right": right})
 
-    def readings(self, known: Sequence[str], lag: Lag | None, read_as: ReadAs) -> FrameReadings:
+    def readings(self, known: Sequence[str], lag: Lag | None) -> FrameReadings:
         """Read the readings of the frame; empty without ``--joints``, or with none."""
         from dvrk_cmaes.joints.reading import is_written_out, read_frame_joints
         from dvrk_cmaes.joints.times import parse_time
 
         if self.joints in ((), (NO_READINGS,)) or self.named is None:
             return {}, (), None
+        read_as = self.reading.read_as(self.only)
         texts = [text for text in self.joints if is_written_out(text)]
         files = joint_files([Path(text) for text in self.joints if text not in texts], read_as.arm) or ()
         moment = None if self.time is None else parse_time("--time", self.time)
@@ -170,7 +173,6 @@ def estimate(
     given: FrameOptions = FrameOptions(),
     segment: SegmentOptions = SegmentOptions(),
     calibrated: CalibrationOptions = CalibrationOptions(),
-    reading: ReadingOptions = ReadingOptions(),
     camera: FrameCameraOptions = FrameCameraOptions(),
     instrument: UrdfOptions = UrdfOptions(),
     method: MethodOptions = MethodOptions(),
@@ -206,8 +208,6 @@ def estimate(
         A calibration that is used: start from the pose that it predicts, and search globally only if that pose does not
         explain the mask. If it has a lag between images and readings, files of readings are read at the frame's time
         less the lag; readings given as values are not changed.
-    reading
-        How files of readings are read.
     camera
         The camera, of which a file is needed.
     instrument
@@ -241,7 +241,7 @@ def estimate(
         note(f"no --joints, as with --joints none: {TWIN}")
     known = calibrated.read(body, instrument.arm)
     lag = None if known is None else known.applied_lag
-    readings, notes, _ = given.readings(body.instrument.joint_names, lag, reading.read_as(given.only))
+    readings, notes, _ = given.readings(body.instrument.joint_names, lag)
     files = replace(files, readings=readings)
     data = replace(data, notes=(*camera_file.notes, *notes, *data.notes))
     shown = hints_within(segment.hints(), files.crop)

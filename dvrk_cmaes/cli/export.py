@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from dvrk_cmaes.cli.options import OUTPUT, Flag
+from dvrk_cmaes.cli.options import OUTPUT, Flag, options
 from dvrk_cmaes.cli.terminal import Line, note, show, warn
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.export.table import FORMATS
@@ -29,8 +28,7 @@ DVRK = Group.create_ordered("dVRK")
 BAG = Group.create_ordered("ROS recording")
 
 
-@Parameter(name="*", group=BAG)
-@dataclass(frozen=True, kw_only=True)
+@options(group=BAG)
 class BagOptions:
     """Options of ROS recordings.
 
@@ -74,8 +72,7 @@ class BagOptions:
         return ToolTip(tool.wrist_length, tool.tooltip_offset)
 
 
-@Parameter(name="*", group=OUTPUT)
-@dataclass(frozen=True, kw_only=True)
+@options(group=OUTPUT)
 class FormatGiven:
     """The format, and the names in it.
 
@@ -170,7 +167,6 @@ def export(
     from dvrk_cmaes.export.request import ExportRequest
     from dvrk_cmaes.export.request import export as exported_files
     from dvrk_cmaes.export.source import read_source
-    from dvrk_cmaes.io.json_file import json_text
     from dvrk_cmaes.io.output import LONG, output, write_bytes
     from dvrk_cmaes.results.folder import folder_of_arm
 
@@ -193,21 +189,7 @@ def export(
             written = [folder / name for name in exported.files]
             for path, data in zip(written, exported.files.values(), strict=True):
                 write_bytes(path, data)
-    for text in _warnings(exported):
-        warn(text)
-    if json:
-        direction, paths = FORMATS[chosen.to].direction, [str(path) for path in written]
-        document: dict[str, Any] = {"to": chosen.to, "direction": direction, "written": paths}
-        if chosen.to == "tf":
-            document["command"] = _publisher_lines(exported)
-        if exported.base is not None:
-            document["base"] = exported.base.to_dict()
-        print(json_text({**document, "left_out": list(exported.left_out)}), end="")
-    elif chosen.to == "tf":
-        note(_origin(exported))
-        print(_publisher_lines(exported))
-    else:
-        show(_lines(exported, FORMATS[chosen.to].direction, written))
+    _report(exported, chosen.to, written, json=json)
     return 0
 
 
@@ -223,9 +205,24 @@ def _results_folder(results: Path) -> Path:
     return results.parent.parent if results.parent.name == "frames" else results.parent
 
 
-def _publisher_lines(exported: Exported) -> str:
-    """Return the lines of the files, one of each."""
-    return "".join(data.decode() for data in exported.files.values()).rstrip("\n")
+def _report(exported: Exported, to: str, written: Sequence[Path], *, json: bool) -> None:
+    """Print what was exported, in the format tf the lines of its files, and warnings."""
+    for text in _warnings(exported):
+        warn(text)
+    direction, texts = FORMATS[to].direction, exported.files.values() if to == "tf" else ()
+    publishers = "".join(data.decode() for data in texts).rstrip("\n")
+    if json:
+        from dvrk_cmaes.io.json_file import json_text
+
+        document: dict[str, Any] = {"to": to, "direction": direction, "written": [str(path) for path in written]}
+        document |= {"command": publishers} if to == "tf" else {}
+        document |= {} if exported.base is None else {"base": exported.base.to_dict()}
+        print(json_text({**document, "left_out": list(exported.left_out)}), end="")
+    elif to == "tf":
+        note(_origin(exported))
+        print(publishers)
+    else:
+        show(_lines(exported, direction, written))
 
 
 def _origin(exported: Exported) -> str:
@@ -233,7 +230,7 @@ def _origin(exported: Exported) -> str:
     return "" if exported.base is None else f"camera_from_base: {exported.base.origin}"
 
 
-def _lines(exported: Exported, direction: str, written: list[Path]) -> Iterator[Line]:
+def _lines(exported: Exported, direction: str, written: Sequence[Path]) -> Iterator[Line]:
     """Yield the lines of an export: source of the base, direction, and the files written."""
     if exported.base is not None:
         yield Line(_origin(exported))

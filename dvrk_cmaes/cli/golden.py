@@ -15,7 +15,7 @@ from dvrk_cmaes.cli.options import (
     Flag,
     SessionOptions,
 )
-from dvrk_cmaes.cli.session_tools import read_arms
+from dvrk_cmaes.cli.session_tools import open_session
 from dvrk_cmaes.cli.terminal import DOUBTFUL, FAILED, STATUS_STYLES, Line, answer, table_lines, tracked, warn
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate import Tolerance
@@ -80,7 +80,7 @@ def record(
     if path.exists() and not overwrite:
         raise InputError(f"{path}: expected no file yet, got one; --overwrite replaces it")
     check_writable(path.parent)
-    (arm,) = read_arms(session, given, single=True).values()
+    (arm,) = open_session(session, given, single=True).values()
     frames, model = arm.session.frames, arm.body.instrument
     kept: dict[str, FrameTruth] = {}
     left_out: dict[str, str] = {}
@@ -144,7 +144,7 @@ def check(
             raise InputError(f"--{name.replace('_', '-')}: expected a number of at least 0, got {value:g}")
     path = session / "golden.json" if golden is None else golden
     kept = read_golden(path).frames
-    (arm,) = read_arms(session, given, single=True).values()
+    (arm,) = open_session(session, given, single=True).values()
     _check_names(path, kept, arm.session)
     frames = [files for files in arm.session.frames if files.name in kept]
     results = tracked(_estimated(frames, arm), "Estimating", len(frames))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -21,6 +21,7 @@ from dvrk_cmaes.cli.options import (
     check_range,
     column_names,
     joint_files,
+    options,
 )
 from dvrk_cmaes.cli.terminal import Line, answer, tracked, warn
 from dvrk_cmaes.errors import InputError
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.instrument.dvrk_description import Tool
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.recording.pose_table import PosePoint
+    from dvrk_cmaes.recording.recording import Asked
     from dvrk_cmaes.recording.write_session import ImportSummary
 
 SELECTION = Group.create_ordered("Selection")
@@ -42,8 +44,7 @@ FOLDER = Group.create_ordered("Stereo endoscope")
 MOST_EPISODES = 1_000_000
 
 
-@Parameter(name="*", group=TOPICS)
-@dataclass(frozen=True, kw_only=True)
+@options(group=TOPICS)
 class TopicOptions:
     """Topics of a ROS recording, found by type and name by default; if several are suitable, one must be given.
 
@@ -78,8 +79,7 @@ class TopicOptions:
     rectified: Flag = False
 
 
-@Parameter(name="*", group=POSES)
-@dataclass(frozen=True, kw_only=True)
+@options(group=POSES)
 class PoseOptions:
     """Meaning of a table of Cartesian poses given as --joints, whose joints are found by inverse kinematics.
 
@@ -103,9 +103,28 @@ class PoseOptions:
     kinematics: Literal["classic", "si"] = "classic"
     tool: Path | None = None
 
+    def meaning(self) -> tuple[PosePoint, Float64, Arm, Tool | None] | None:
+        """Return what poses mean, as of `read_pose_table`; None without --pose-of."""
+        if self.pose_of is None:
+            if self != PoseOptions():
+                options = "--pose-base, --kinematics and --tool"
+                raise InputError(f"--pose-of: expected tip or wrist-yaw with {options}, got none")
+            return None
+        if self.pose_base is None:
+            raise InputError(
+                "--pose-base: expected local for poses in the arm's base (local/measured_cp), or a file with the pose "
+                "of the base in their frame (measured_cp), got none"
+            )
+        import numpy as np
 
-@Parameter(name="*", group=VIDEO)
-@dataclass(frozen=True, kw_only=True)
+        from dvrk_cmaes.export.cartesian_pose import read_cartesian_pose
+        from dvrk_cmaes.instrument.dvrk_description import read_tool
+
+        base = np.eye(4) if self.pose_base == "local" else read_cartesian_pose(Path(self.pose_base))
+        return self.pose_of, base, self.kinematics, None if self.tool is None else read_tool(self.tool)
+
+
+@options(group=VIDEO)
 class RecordingFiles:
     """A recording, its parts that are read, and what goes with it.
 
@@ -157,9 +176,33 @@ class RecordingFiles:
             raise InputError(f"--video-start: expected a finite number of seconds, got {self.video_start:g}")
         check_range("--video-start", self.video_start, -LATEST, LATEST, "seconds")
 
+    def asked(self, topics: TopicOptions, poses: PoseOptions) -> Asked:
+        """Return what is read of a recording; ``poses`` is what those mean that are read."""
+        from dvrk_cmaes.frames.picture_fit import parse_crop
+        from dvrk_cmaes.recording.pose_table import read_pose_table
+        from dvrk_cmaes.recording.recording import Asked
 
-@Parameter(name="*", group=SELECTION)
-@dataclass(frozen=True, kw_only=True)
+        if self.columns is not None and poses.pose_of is not None:
+            raise InputError("--columns: expected --joints of readings with it, got poses (--pose-of)")
+        posed, arm = poses.meaning(), self.arm[0] if len(self.arm) == 1 else None
+        tables = () if posed or self.joints is None else joint_files([self.joints], arm) or ()
+        return Asked(
+            side=None if self.side == "both" else self.side,
+            both=self.side == "both",
+            arms=self.arm,
+            camera=self.camera,
+            joints=read_pose_table(self.joints, *posed) if posed and self.joints else next(iter(tables), None),
+            columns=column_names(self.columns),
+            posed=None if self.joints else posed,
+            start=self.video_start,
+            layout=self.layout,
+            crop=None if self.crop is None else parse_crop("--crop", self.crop),
+            episode=self.episode,
+            **vars(topics),
+        )
+
+
+@options(group=SELECTION)
 class SelectedImages:
     """Which images are read, and at which times their readings.
 
@@ -255,33 +298,12 @@ def import_recording(
     selected.check()
     taken, said = _lag(selected.lag, selected.calibration)
     files.check()
-    from dvrk_cmaes.frames.picture_fit import parse_crop
     from dvrk_cmaes.io.files import check_own_folder
-    from dvrk_cmaes.recording.pose_table import read_pose_table
     from dvrk_cmaes.recording.readers import open_recording
-    from dvrk_cmaes.recording.recording import Asked
     from dvrk_cmaes.recording.write_session import write_session
 
     check_own_folder(recording)
-    if files.columns is not None and poses.pose_of is not None:
-        raise InputError("--columns: expected --joints of readings with it, got poses (--pose-of)")
-    posed, arm = _poses(poses), files.arm[0] if len(files.arm) == 1 else None
-    tables = () if posed or files.joints is None else joint_files([files.joints], arm) or ()
-    asked = Asked(
-        side=None if files.side == "both" else files.side,
-        both=files.side == "both",
-        arms=files.arm,
-        camera=files.camera,
-        joints=read_pose_table(files.joints, *posed) if posed and files.joints else next(iter(tables), None),
-        columns=column_names(files.columns),
-        posed=None if files.joints else posed,
-        start=files.video_start,
-        layout=files.layout,
-        crop=None if files.crop is None else parse_crop("--crop", files.crop),
-        episode=files.episode,
-        **vars(topics),
-    )
-    opened = open_recording(recording, asked)
+    opened = open_recording(recording, files.asked(topics, poses))
     summary = write_session(
         replace(opened, images=iter(tracked(opened.images, "Importing", opened.total))),
         out,
@@ -301,26 +323,6 @@ def import_recording(
         warn(text)
     answer(summary.to_dict(), _lines(summary), json=json)
     return 0
-
-
-def _poses(poses: PoseOptions) -> tuple[PosePoint, Float64, Arm, Tool | None] | None:
-    """Return what poses mean, as of `read_pose_table`; None without --pose-of."""
-    if poses.pose_of is None:
-        if poses != PoseOptions():
-            raise InputError("--pose-of: expected tip or wrist-yaw with --pose-base, --kinematics and --tool, got none")
-        return None
-    if poses.pose_base is None:
-        raise InputError(
-            "--pose-base: expected local for poses in the arm's base (local/measured_cp), or a file with the pose of "
-            "the base in their frame (measured_cp), got none"
-        )
-    import numpy as np
-
-    from dvrk_cmaes.export.cartesian_pose import read_cartesian_pose
-    from dvrk_cmaes.instrument.dvrk_description import read_tool
-
-    base = np.eye(4) if poses.pose_base == "local" else read_cartesian_pose(Path(poses.pose_base))
-    return poses.pose_of, base, poses.kinematics, None if poses.tool is None else read_tool(poses.tool)
 
 
 def _lag(text: str | None, calibration: Path | None) -> tuple[Lag | None, str]:

@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from threading import Event, Timer
@@ -24,6 +23,7 @@ from dvrk_cmaes.cli.options import (
     MethodOptions,
     UrdfOptions,
     Whole,
+    options,
 )
 from dvrk_cmaes.cli.terminal import Line, note, show, stopping_on_interrupt
 from dvrk_cmaes.errors import InputError
@@ -43,8 +43,7 @@ _FIRST_IMAGE = 10.0  # s, within which there must be something to follow
 _RENEWED, _LINES = 0.5, 10.0  # s, after which the state is shown again, on a terminal and elsewhere
 
 
-@Parameter(name="*", group=TOPICS)
-@dataclass(frozen=True, kw_only=True)
+@options(group=TOPICS)
 class LiveTopics:
     """Topics that are read.
 
@@ -119,8 +118,7 @@ def _of_each(option: str, given: tuple[str, ...], arms: tuple[str, ...], default
     return dict(zip(arms, given or by_default, strict=False))
 
 
-@Parameter(name="*", group=SERVER)
-@dataclass(frozen=True, kw_only=True)
+@options(group=SERVER)
 class ServerOptions:
     """How ROS is reached.
 
@@ -151,8 +149,7 @@ class ServerOptions:
         return RclpyConnection(report) if self.via == "rclpy" else RosbridgeConnection(self.host, self.port, report)
 
 
-@Parameter(name="*", group=CAMERA)
-@dataclass(frozen=True, kw_only=True)
+@options(group=CAMERA)
 class LiveCameraOptions:
     """Options of the camera.
 
@@ -185,8 +182,7 @@ class LiveCameraOptions:
         return Rig.of_camera(read_camera(self.camera, rectified=self.rectified))
 
 
-@Parameter(name="*", group=OUTPUT)
-@dataclass(frozen=True, kw_only=True)
+@options(group=OUTPUT)
 class LiveOutput:
     """What is written and published, and for how long.
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, dataclass_transform
 
 from cyclopts import Group, Parameter, Token
 
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from dvrk_cmaes.joints.rows import JointFile, ReadAs
     from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
     from dvrk_cmaes.silhouette import Body
+
+T = TypeVar("T")
 
 FOLDER = Group.create_ordered("Folder")
 WORKERS = Group.create_ordered("Workers")
@@ -62,6 +64,12 @@ Pixels = Annotated[tuple[str, ...], Parameter(negative=(), show_default=False, a
 ConfigOption = Annotated[Path | None, Parameter(name="--config", group=METHOD)]
 
 
+@dataclass_transform(frozen_default=True, kw_only_default=True)
+def options(**shown: Any) -> Callable[[type[T]], type[T]]:
+    """Return a decorator for a class whose fields are options of a command, ``shown`` as `Parameter` says."""
+    return lambda kind: Parameter(name="*", **shown)(dataclass(frozen=True, kw_only=True)(kind))
+
+
 def check_range(option: str, value: float | None, least: float, most: float, what: str = "a whole number") -> None:
     """Raise an InputError for the value of an option that is given and not from ``least`` to ``most``."""
     if value is not None and not least <= value <= most:
@@ -69,8 +77,7 @@ def check_range(option: str, value: float | None, least: float, most: float, wha
         raise InputError(f"{option}: expected {what} of {limit}, got {shown(value)}")
 
 
-@Parameter(name="*", group=CAMERA)
-@dataclass(frozen=True, kw_only=True)
+@options(group=CAMERA)
 class CameraOptions:
     """Options of the camera's file.
 
@@ -90,8 +97,7 @@ class CameraOptions:
     side: Literal["left", "right"] = "left"
 
 
-@Parameter(name="*", group=CAMERA)
-@dataclass(frozen=True, kw_only=True)
+@options(group=CAMERA)
 class FrameCameraOptions(CameraOptions):
     """Options of the camera of a single frame.
 
@@ -116,10 +122,8 @@ class FrameCameraOptions(CameraOptions):
         from dvrk_cmaes.camera.rig_files import read_rig
         from dvrk_cmaes.frames.frame import frame_size
         from dvrk_cmaes.frames.picture_fit import fitted
-        from dvrk_cmaes.frames.session_folder import UNCALIBRATED
 
-        if self.camera is None:
-            raise InputError(f"--camera: expected a camera file, got none; {UNCALIBRATED}")
+        assert self.camera is not None
         read_as: dict[str, Any] = {"rectified": self.rectified, "size": partial(frame_size, frame)}
         if frame.others:
             lens = read_rig(self.camera, self.camera_right, **read_as)
@@ -128,8 +132,7 @@ class FrameCameraOptions(CameraOptions):
         return fitted(lens, frame, stretch=self.stretch)
 
 
-@Parameter(name="*", group=READINGS)
-@dataclass(frozen=True, kw_only=True)
+@options(group=READINGS)
 class ReadingOptions:
     """Options of files of joint readings.
 
@@ -182,8 +185,7 @@ def _bag_joints(path: Path, arm: str | None) -> JointFile:
     return read_bag_joints(path, arm)
 
 
-@Parameter(name="*", group=INSTRUMENT)
-@dataclass(frozen=True, kw_only=True)
+@options(group=INSTRUMENT)
 class InstrumentOptions:
     """Options of the instrument and of the arm that carries it.
 
@@ -208,9 +210,17 @@ class InstrumentOptions:
         """The ROS package of the description, by its name."""
         return {} if self.description is None else {"dvrk_model": self.description}
 
+    def load_for(self, tool: ToolEntry) -> Body:
+        """Load the instrument that is given, or else that of a tool as session.toml names it."""
+        named, own = self.instrument, tool.instrument
+        if named is not None:
+            if own is not None and named != own and Path(named).resolve() != Path(own).resolve():
+                warn(f"{tool.arm}: session.toml names {own}, but --instrument {named} is used")
+            tool = replace(tool, instrument=named, packages={}, root_link=None, tool=None)
+        return load_tool(replace(tool, packages={**tool.packages, **self.described}))
 
-@Parameter(name="*", group=INSTRUMENT)
-@dataclass(frozen=True, kw_only=True)
+
+@options(group=INSTRUMENT)
 class UrdfOptions(InstrumentOptions):
     """Options of the instrument and of the arm that carries it.
 
@@ -271,8 +281,7 @@ def load_tool(tool: ToolEntry) -> Body:
     return prepare(loaded if described is None else with_tool(loaded, described))
 
 
-@Parameter(name="*", group=METHOD)
-@dataclass(frozen=True, kw_only=True)
+@options(group=METHOD)
 class MethodOptions:
     """Options of the method. An option overrides the settings file, and the settings file overrides the defaults.
 
@@ -333,8 +342,7 @@ class MethodOptions:
         return replace(settings, **given)
 
 
-@Parameter(name="*")
-@dataclass(frozen=True, kw_only=True)
+@options()
 class SessionOptions:
     """Options of the session that a command works on.
 
@@ -361,8 +369,7 @@ class SessionOptions:
         return MethodOptions(config=self.config).resolve()
 
 
-@Parameter(name="*", group=SEGMENT)
-@dataclass(frozen=True, kw_only=True)
+@options(group=SEGMENT)
 class PromptOptions:
     """Optional prompts, which state where the instrument is in the image.
 
@@ -395,8 +402,7 @@ class PromptOptions:
         return Hints(box, on, off)
 
 
-@Parameter(name="*", group=SEGMENT)
-@dataclass(frozen=True, kw_only=True)
+@options(group=SEGMENT)
 class SegmentOptions(PromptOptions):
     """Options of the segmentation of images without a mask, with prompts.
 
@@ -423,8 +429,7 @@ class SegmentOptions(PromptOptions):
         return SegmentSettings(self.model, None if self.weights is None else self.weights.absolute())
 
 
-@Parameter(name="*", group=METHOD)
-@dataclass(frozen=True, kw_only=True)
+@options(group=METHOD)
 class CalibrationOptions:
     """Options of a calibration that is used.
 

@@ -15,7 +15,7 @@ from dvrk_cmaes.cli.options import (
     InstrumentOptions,
     SessionOptions,
 )
-from dvrk_cmaes.cli.session_tools import read_arms
+from dvrk_cmaes.cli.session_tools import open_session
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, exit_code, show
 from dvrk_cmaes.errors import InputError
 
@@ -71,7 +71,7 @@ def pnp(
     from dvrk_cmaes.io.output import output
     from dvrk_cmaes.results.folder import check_output, result_path
 
-    (arm,) = read_arms(session, SessionOptions(camera=camera, instrument=instrument), single=True).values()
+    (arm,) = open_session(session, SessionOptions(camera=camera, instrument=instrument), single=True).values()
     for frame in arm.session.frames:
         check_output(out, frame.name)
     with output(out, "pnp") as own:

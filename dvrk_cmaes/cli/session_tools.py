@@ -4,44 +4,42 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dvrk_cmaes.cli.options import TWIN, CalibrationOptions, ReadingOptions, joint_files, load_tool
-from dvrk_cmaes.cli.terminal import Line, answer, note, show, table_lines, warn
+from dvrk_cmaes.cli.options import TWIN, CalibrationOptions, ReadingOptions, joint_files
+from dvrk_cmaes.cli.terminal import DOUBTFUL, FAILED, Line, answer, note, show, table_lines, warn
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import counted, listed, no_folder
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.cli.options import SessionOptions
-    from dvrk_cmaes.frames.session_toml import ToolEntry
     from dvrk_cmaes.geometry import Float64
     from dvrk_cmaes.results.result import Result
     from dvrk_cmaes.runs.frame import ArmInSession
 
 
-def read_arms(
+def open_session(
     folder: Path,
     given: SessionOptions,
     calibrated: CalibrationOptions = CalibrationOptions(),
     *,
     single: bool = False,
-    joints: Sequence[Path] | None = (),
+    joints: Sequence[Path] = (),
     reading: ReadingOptions = ReadingOptions(),
-    labelled: bool = False,
     ahead: bool = True,
-    **more: Any,
+    **overrides: Any,
 ) -> dict[str, ArmInSession]:
     """Describe the arms of a session, or those asked for, by folder of results: what each sees, and how it is solved.
 
     That folder is the arm's name, or "" if the session has one tool: its results are in the folder itself. What
-    session.toml says counts where the command line says nothing.
+    session.toml says counts where the command line says nothing. Each arm's instrument is loaded, and the session read
+    with its own masks and readings, and its calibration.
 
-    ``single``: whether the command works on one arm. ``joints`` and ``more`` are as in `read_session`.
-    ``labelled``: whether masks of labels may be in the folder labels, as they may where session.toml names a label.
-    With ``ahead``, texts and borders over the images are looked for.
+    ``single``: whether the command works on one arm. ``joints`` are as of `joint_files`, ``overrides`` as of
+    `read_session`. With ``ahead``, texts and borders over the images are looked for.
 
     Raises
     ------
@@ -49,63 +47,34 @@ def read_arms(
         An arm that the session does not name, or several for a command that works on one; settings or a calibration
         that are not valid; as `read_session`.
     """
+    from dvrk_cmaes.estimation.one_tool import FrameMethod
+    from dvrk_cmaes.frames.overlays import with_overlaid
+    from dvrk_cmaes.frames.session_folder import NO_READINGS, read_session
     from dvrk_cmaes.frames.session_toml import SESSION_FILE, ToolEntry, read_session_toml
+    from dvrk_cmaes.runs.frame import ArmInSession
 
-    entries, only, camera = read_session_toml(folder), given.only, given.camera
+    entries, only, own = read_session_toml(folder), given.only, given.instrument
     if only and not entries.tools:
         raise InputError(f"--only: expected a session.toml that names arms in {folder}, got none")
     chosen = [entries.tool(arm) for arm in only] or entries.tools or (ToolEntry(""),)
     if single and len(chosen) > 1:
         raise InputError(f"{folder / SESSION_FILE}: tool: expected one, got {', '.join(tool.arm for tool in chosen)}")
-    labels = folder / "labels"
-    asked: dict[str, Any] = {
-        "camera": camera.camera,
-        "rectified": camera.rectified,
-        "side": camera.side,
-        **more,
-        "masks": labels if labelled and labels.is_dir() and not (folder / "masks").exists() else None,
-    }
     calibrated.check_for([tool.arm for tool in chosen])
     found = {}
     for tool in chosen:
-        arm = tool.arm or None
-        asked["joints"] = None if joints is None else joint_files(joints, arm)
-        asked["read_as"] = reading.read_as(arm)
-        read = _read_arm(folder, given, calibrated, tool, asked, ahead=ahead)
-        found[tool.arm if len(entries.tools) > 1 else ""] = read
+        arm, settings = tool.arm or None, given.settings()
+        body, files, read_as = own.load_for(tool), joint_files(joints, arm), reading.read_as(arm)
+        asked: dict[str, Any] = {**vars(given.camera), **overrides, "joints": files, "read_as": read_as}
+        session = read_session(folder, arm=arm, known=body.instrument.joint_names, **asked)
+        session = with_overlaid(session) if ahead else session
+        if files is not None and NO_READINGS in session.notes:
+            note(f"{folder}: no joints.csv, as with --joints none: {TWIN}")
+        for text in session.warnings:
+            warn(f"{folder}: {text}")
+        known = calibrated.read(body, own.arm, tool.arm)
+        method = FrameMethod(own.arm or tool.kinematics or "classic", settings, known)
+        found[tool.arm if len(entries.tools) > 1 else ""] = ArmInSession(session, body, method)
     return found
-
-
-def _read_arm(
-    folder: Path,
-    given: SessionOptions,
-    calibrated: CalibrationOptions,
-    tool: ToolEntry,
-    asked: dict[str, Any],
-    *,
-    ahead: bool,
-) -> ArmInSession:
-    """Load the instrument of an arm, and read the session with its own masks and readings, and its calibration."""
-    from dvrk_cmaes.estimation.one_tool import FrameMethod
-    from dvrk_cmaes.frames.overlays import with_overlaid
-    from dvrk_cmaes.frames.session_folder import NO_READINGS, read_session
-    from dvrk_cmaes.runs.frame import ArmInSession
-
-    settings, named, own = given.settings(), given.instrument.instrument, tool.instrument
-    if named is not None:
-        if own is not None and named != own and Path(named).resolve() != Path(own).resolve():
-            warn(f"{tool.arm}: session.toml names {own}, but --instrument {named} is used")
-        tool = replace(tool, instrument=named, packages={}, root_link=None, tool=None)
-    body = load_tool(replace(tool, packages={**tool.packages, **given.instrument.described}))
-    session = read_session(folder, arm=tool.arm or None, known=body.instrument.joint_names, **asked)
-    session = with_overlaid(session) if ahead else session
-    if asked["joints"] is not None and NO_READINGS in session.notes:
-        note(f"{folder}: no joints.csv, as with --joints none: {TWIN}")
-    for text in session.warnings:
-        warn(f"{folder}: {text}")
-    known = calibrated.read(body, given.instrument.arm, tool.arm)
-    method = FrameMethod(given.instrument.arm or tool.kinematics or "classic", settings, known)
-    return ArmInSession(session, body, method)
 
 
 _MOST_REASONS = 8
@@ -138,10 +107,44 @@ def output_folder(out: Path | None, inside: Path, name: str, command: str, *, wa
         yield path
 
 
-def answer_by_arm(documents: Mapping[str, Any], lines: Mapping[str, Iterable[Line]], *, json: bool) -> None:
-    """Print the documents of all arms as JSON, or else their lines, those of each of several below its name."""
-    titled = ([*([Line(name, "bold")] if name else []), *own] for name, own in lines.items())
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What a command says of an arm: a document or lines, warnings, and the exit code of this arm alone.
+
+    Arms are compared with each other by their ``results``, by frame, and by their ``calibration``.
+    """
+
+    document: Mapping[str, Any]
+    lines: Iterable[Line]
+    warnings: Iterable[str]
+    code: int
+    results: Mapping[str, Result]
+    calibration: SessionCalibration | None = None
+
+
+def tell(
+    arms: Mapping[str, Told], out: Path, setup: Mapping[str, Float64], *, json: bool, followed: bool = False
+) -> int:
+    """Print the documents of all arms as JSON, or else their lines; compare the arms, and return the exit code.
+
+    Arms are doubtful that seem to have each other's masks or readings, or whose bases are not where the set-up joints
+    have them, ``setup``. Where all are calibrated, these are written. ``followed``: frames are in the order of time.
+    """
+    from dvrk_cmaes.runs.agreement import exchanged_arms
+
+    documents = {name: own.document for name, own in arms.items()}
+    titled = ([*([Line(name, "bold")] if name else []), *own.lines] for name, own in arms.items())
     answer(documents.get("", documents), (line for own in titled for line in own), json=json)
+    for name, own in arms.items():
+        for text in dict.fromkeys(own.warnings):
+            warn(text, name)
+    exchanged = exchanged_arms({name: own.results for name, own in arms.items()}, followed=followed)
+    for text in exchanged:
+        warn(text)
+    known = {name: own.calibration for name, own in arms.items() if own.calibration is not None}
+    agree = not 1 < len(known) == len(arms) or _write_bases(known, setup, out, quiet=json)
+    codes = {own.code for own in arms.values()}
+    return FAILED if codes == {FAILED} else DOUBTFUL if exchanged or not agree or codes != {0} else 0
 
 
 def found_lines(calibration: SessionCalibration) -> Iterator[Line]:
@@ -180,17 +183,7 @@ def _stretches(names: Sequence[str], places: Sequence[int]) -> Iterator[str]:
             first = following or 0
 
 
-def doubt_exchanged(results: Mapping[str, Mapping[str, Result]]) -> bool:
-    """Warn where arms seem to have each other's masks or readings, given their results by frame; returns whether."""
-    from dvrk_cmaes.runs.agreement import exchanged_arms
-
-    texts = exchanged_arms(results)
-    for text in texts:
-        warn(text)
-    return bool(texts)
-
-
-def write_bases(
+def _write_bases(
     calibrations: Mapping[str, SessionCalibration], setup: Mapping[str, Float64], out: Path, *, quiet: bool
 ) -> bool:
     """Write arms.json, where the arms' bases are relative to the first one's, and print it unless ``quiet``.

@@ -2,21 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from dvrk_cmaes.cli.options import (
-    LARGEST_SEED,
-    OUTPUT,
-    CameraOptions,
-    Flag,
-    UrdfOptions,
-    Whole,
-    check_range,
-)
+from dvrk_cmaes.cli.options import LARGEST_SEED, OUTPUT, CameraOptions, Flag, UrdfOptions, Whole, check_range, options
 from dvrk_cmaes.cli.terminal import Line, show
 from dvrk_cmaes.errors import InputError
 
@@ -28,8 +20,7 @@ _MOST_FRAMES = 100_000
 _BASELINES = 0.001, 0.05  # m
 
 
-@Parameter(name="*", group=OUTPUT)
-@dataclass(frozen=True, kw_only=True)
+@options(group=OUTPUT)
 class SynthOptions:
     """What is drawn.
 

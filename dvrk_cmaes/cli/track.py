@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
-from threading import Event
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
@@ -26,14 +24,15 @@ from dvrk_cmaes.cli.options import (
     Whole,
     WholeOrNone,
     check_range,
+    options,
 )
 from dvrk_cmaes.cli.session_tools import (
-    answer_by_arm,
+    Told,
     found_lines,
+    open_session,
     output_folder,
-    read_arms,
     reason_lines,
-    write_bases,
+    tell,
 )
 from dvrk_cmaes.cli.terminal import (
     DOUBTFUL,
@@ -49,7 +48,6 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import counted, listed, no_folder
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.calibration.together import Begun
     from dvrk_cmaes.frames.video_frames import Video
     from dvrk_cmaes.runs.frame import ArmInSession
     from dvrk_cmaes.runs.pool import Workers
@@ -58,8 +56,7 @@ if TYPE_CHECKING:
 _TOLERANCE = 0.05  # s, as of import
 
 
-@Parameter(name="*", group=FOLDER)
-@dataclass(frozen=True, kw_only=True)
+@options(group=FOLDER)
 class TrackOptions:
     """What is followed, and what is written.
 
@@ -129,15 +126,7 @@ class TrackOptions:
         if given:
             raise InputError(f"{given[0]}: expected one arm (--only ARM), got a session of several")
 
-    def arm(
-        self,
-        name: str,
-        arm: ArmInSession,
-        *,
-        target: Path,
-        place: PromptOptions,
-        by: Workers,
-    ) -> TrackedArm:
+    def arm(self, name: str, arm: ArmInSession, target: Path, place: PromptOptions, by: Workers) -> TrackedArm:
         """Say how an arm of a recording is followed; ``place`` is where it is in the first image."""
         from dvrk_cmaes.joints.lag import Lag
         from dvrk_cmaes.runs.frame import hints_of
@@ -215,42 +204,40 @@ def track(
         Print only the numbers of frames by status, as JSON, on stdout.
     """
     from dvrk_cmaes.calibration.together import solved_together
+    from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
+    from dvrk_cmaes.results.tracked import VIDEO
     from dvrk_cmaes.runs.pool import Workers
+    from dvrk_cmaes.runs.track_outputs import write_track_arms
 
     follow.check()
     with output_folder(follow.out, session if session.is_dir() else session.parent, "tracks", "track") as target:
         folder, video = _session_of(session, follow, target, given.camera)
-        files = (() if follow.readings is None else (follow.readings,)) if follow.joints != NO_READINGS else None
-
-        read = read_arms(folder, given, calibrated, joints=files, video=video, ahead=not follow.causal)
+        files = () if follow.joints is None else (Path(follow.joints),)
+        setup = read_setup_joints(folder / SETUP)
+        read = open_session(folder, given, calibrated, joints=files, video=video, ahead=not follow.causal)
         if len(read) > 1:
             follow.check_for_several(place)
         with stopping_on_interrupt() as stop, progress() as report:
             by = Workers(follow.workers, stop=stop, report=report, notice=note)
-            asked = partial(follow.arm, target=target, place=place, by=by)
-            arms = {name: asked(name, arm) for name, arm in read.items()}
-            begun = solved_together({name: partial(_begin, arm, stop) for name, arm in arms.items()})
-        finished = {name: arm for name, arm in begun.items() if arm is not None}
-        interrupted = len(finished) < len(arms) or any(arm.interrupted for arm in finished.values())
-        doubts = [] if interrupted or len(arms) == 1 else _compared(folder, finished, target, quiet=json)
-        counts = {name: arm.counts for name, arm in finished.items()}
-        answer_by_arm(counts, {name: _lines(arm) for name, arm in finished.items()}, json=json)
-        for name, arm in finished.items():
-            own = () if arm.calibration is None else arm.calibration.warnings
-            for text in dict.fromkeys((*arm.session.rig.remarks, *arm.remarks, *own)):
-                warn(text, name)
-        for text in filter(None, doubts):
-            warn(text)
-    if interrupted:
-        return INTERRUPTED
-    return DOUBTFUL if doubts or any(set(of_arm) - {"ok"} for of_arm in counts.values()) else 0
+            arms = {name: follow.arm(name, arm, target, place, by) for name, arm in read.items()}
+            solved_together({name: arm.begin for name, arm in arms.items()})
+        interrupted = any(arm.interrupted for arm in arms.values())
+        compared = len(arms) > 1 and not interrupted
+        if compared and follow.video:
+            write_track_arms(target, arms)
+            if not json:
+                show([Line(f"all arms: {target / VIDEO}")])
+        told = {name: _told(arm, compared=compared) for name, arm in arms.items()}
+        code = tell(told, target, setup, json=json, followed=True)
+    return INTERRUPTED if interrupted else code
 
 
 def _session_of(path: Path, follow: TrackOptions, out: Path, camera: CameraOptions) -> tuple[Path, Video | None]:
-    """Return the session folder of a path, that of a ROS recording in ``out``, and the video that has its images.
+    """Return the session folder of a path, and the video that has its images.
 
-    The video of a session counts where it has no images, and its masks are not all that is asked for. InputError if
-    there is nothing at the path, it is neither, or it holds links that leave it.
+    Of a ROS recording the session is written in ``out``, in place of an earlier one. The video of a session counts
+    where it has no images, and its masks are not all that is asked for. InputError if there is nothing at the path, it
+    is neither, or it holds links that leave it.
     """
     from dvrk_cmaes.frames.video_frames import SUFFIXES, Video, own_video
     from dvrk_cmaes.io.files import check_own, check_own_folder
@@ -259,8 +246,14 @@ def _session_of(path: Path, follow: TrackOptions, out: Path, camera: CameraOptio
     if path.suffix.lower() in SUFFIXES and not path.is_dir():
         return path.parent, Video(path)
     if is_bag(path):
+        from dvrk_cmaes.recording.bag import open_bag
+        from dvrk_cmaes.recording.recording import Asked
+        from dvrk_cmaes.recording.write_session import write_session
+
         check_own_folder(path)
-        return _imported(path, out / "session", camera.camera, follow.readings), None
+        recording, folder = open_bag(path, Asked(camera=camera.camera, joints=follow.readings)), out / "session"
+        write_session(recording, folder, tolerance=_TOLERANCE, overwrite=folder.exists())
+        return folder, None
     if not path.is_dir():
         raise InputError(f"{path}: {no_folder(path)}; expected a session folder, a video or a ROS recording")
     video = own_video(path) if follow.evidence == "images" or not (path / "masks").is_dir() else None
@@ -268,40 +261,14 @@ def _session_of(path: Path, follow: TrackOptions, out: Path, camera: CameraOptio
     return path, None if video is None else Video(video)
 
 
-def _imported(path: Path, folder: Path, camera: Path | None, joints: Path | None) -> Path:
-    """Write the session of a ROS recording, in place of an earlier one; returns its folder."""
-    from dvrk_cmaes.recording.bag import open_bag
-    from dvrk_cmaes.recording.recording import Asked
-    from dvrk_cmaes.recording.write_session import write_session
+def _told(arm: TrackedArm, *, compared: bool) -> Told:
+    """Return what is said of an arm, and, if all are ``compared``, its results."""
+    from dvrk_cmaes.runs.track_outputs import followed_results
 
-    recording = open_bag(path, Asked(camera=camera, joints=joints))
-    write_session(recording, folder, tolerance=_TOLERANCE, overwrite=folder.exists())
-    return folder
-
-
-def _begin(arm: TrackedArm, stop: Event) -> Begun[TrackedArm | None]:
-    """Begin an arm of a recording, unless the run was interrupted before."""
-    from dvrk_cmaes.calibration.together import Begun
-
-    return Begun.of(None) if stop.is_set() else arm.begin()
-
-
-def _compared(folder: Path, arms: Mapping[str, TrackedArm], target: Path, *, quiet: bool) -> list[str]:
-    """Write what several arms of a session have in common; returns why they are doubtful, "" if that was said."""
-    from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
-    from dvrk_cmaes.results.tracked import VIDEO
-    from dvrk_cmaes.runs.track_outputs import exchanged_while_followed, write_track_arms
-
-    doubts = list(exchanged_while_followed(arms))
-    setup = read_setup_joints(folder / SETUP)
-    if next(iter(arms.values())).settings.video:
-        write_track_arms(target, arms)
-        if not quiet:
-            show([Line(f"all arms: {target / VIDEO}")])
-    known = {name: arm.calibration for name, arm in arms.items() if arm.calibration is not None}
-    if len(known) == len(arms) and not write_bases(known, setup, target, quiet=quiet):
-        doubts.append("")
-    return doubts
+    known, counts = arm.calibration, arm.counts
+    warnings = (*arm.session.rig.remarks, *arm.remarks, *(() if known is None else known.warnings))
+    code = DOUBTFUL if set(counts) - {"ok"} else 0
+    return Told(counts, _lines(arm), warnings, code, *((followed_results(arm), known) if compared else ({}, None)))
 
 
 def _lines(arm: TrackedArm) -> Iterator[Line]:

@@ -30,16 +30,15 @@ from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.results.folder import (
     ALONE,
     SESSION,
+    ResultsFolder,
     check_output,
     found_masks,
     left_out_path,
     overlay_path,
-    result_path,
 )
-from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.calibration_pictures import draw_task
-from dvrk_cmaes.runs.frame import ArmInSession
+from dvrk_cmaes.runs.frame import ArmInSession, FrameOutcome, write_outcome
 from dvrk_cmaes.runs.manifest import frame_stamps, manifest_of
 from dvrk_cmaes.runs.pool import Pool, run_in
 
@@ -50,18 +49,17 @@ CAMERA = "camera.yaml"
 def begin_folder(
     arm: ArmInSession,
     out: Path,
-    alone: Path,
+    alone: ResultsFolder,
     pool: Pool,
-    *,
-    results: Mapping[str, Result],
     progress: Callable[[str, int], None],
+    *,
     refine_camera: bool,
     lag: Lag | None,
 ) -> Begun[SolvedSession]:
-    """Solve an arm's session from its frames' own ``results``; what `solved_together` finishes writes everything.
+    """Solve an arm's session from its frames' own results; what `solved_together` finishes writes everything.
 
-    ``alone`` is the folder of the results; masks that were found in images, and overlays of frames that are left out,
-    are taken from there. All files are written to a temporary folder, which takes the place of an earlier ``out`` when
+    Masks that were found in images, and overlays of frames that are left out, are taken from the folder of these
+    results, ``alone``. All files are written to a temporary folder, which takes the place of an earlier ``out`` when
     it is whole.
 
     Raises
@@ -72,13 +70,12 @@ def begin_folder(
         A process died, or the disk is full.
     """
     session, instrument, config = arm.session, arm.body.instrument, arm.method.config
-    files = {own.name: _with_mask(own, alone) for own in session.frames}
+    files = {own.name: _with_mask(own, alone.folder) for own in session.frames}
     frames = []
     for name, own in files.items():
         check_output(out, name)
-        if name not in results:
+        if (result := alone.frames.get(name)) is None:
             continue
-        result = results[name]
         if result.instrument != instrument.name:
             raise InputError(
                 f"frame {name}: instrument: expected {instrument.name}, got a result of {result.instrument}"
@@ -89,7 +86,7 @@ def begin_folder(
     run, refined = run_in(pool, arm.body, config), (refine_camera or session.guessed)
     series, kinematics = session.reading_series(), arm.method.arm
     setup = ArmSetup(series, instrument, kinematics, config, run, progress, refined, session.guessed, lag=lag)
-    return begin_arm(frames, setup).then(functools.partial(_written, arm, out, alone, files, setup))
+    return begin_arm(frames, setup).then(functools.partial(_written, arm, out, alone.folder, files, setup))
 
 
 def _written(
@@ -120,11 +117,10 @@ def _written(
         for name, result in solved.results.items():
             if name in pictures:
                 overlay, left_out_overlay = pictures[name]
-                write_bytes(overlay_path(place, name), overlay)
                 write_bytes(left_out_path(place, name), left_out_overlay)
-            elif overlay_path(alone, name).is_file():
-                write_bytes(overlay_path(place, name), overlay_path(alone, name).read_bytes())
-            write_json(result_path(place, name), result.to_dict())
+            else:
+                overlay = kept.read_bytes() if (kept := overlay_path(alone, name)).is_file() else None
+            write_outcome(place, FrameOutcome(result, overlay))
         write_cameras(calibration, session.rig, place)
         write_json(place / SESSION, calibration.to_dict())
         stamps = {own.name: frame_stamps(own) for own in session.frames if own.name in solved.results}

@@ -156,13 +156,13 @@ def segment_task(
     data = with_outside(data)
     views: list[SeenView] = []
     for number, view in enumerate(data.views):
-        hints = prompts_in(view, views[0], of_frame, body) if number else of_frame
-        if view.image is None or (view.given and view.mask.any()):
-            views.append(replace(view, image=None))
-            continue
-        mask = segment(view.image, **vars(hints), threads=1)
-        right = mask.confidence >= GUESS and replace(view, mask=mask.mask).shows
-        views.append(replace(view, mask=mask.mask, given=True, image=None) if right else replace(view, image=None))
+        own = replace(view, image=None)
+        if view.image is not None and not (view.given and view.mask.any()):
+            hints = prompts_in(view, views[0], of_frame, body) if number else of_frame
+            mask = segment(view.image, **vars(hints), threads=1)
+            right = mask.confidence >= GUESS and replace(view, mask=mask.mask).shows
+            own = replace(own, mask=mask.mask, given=True) if right else own
+        views.append(own)
     found = replace(data, views=tuple(views))
     return found if any(view.given and view.shows for view in found.views) else None
 

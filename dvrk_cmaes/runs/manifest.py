@@ -57,9 +57,12 @@ def frame_stamps(files: FrameFiles) -> dict[str, str]:
 
     Of a file that cannot be read it is `UNREADABLE`.
     """
-    stamps = {name: _stamp(path) for name in _FILES if (path := getattr(files, name)) is not None}
-    for view, other in files.others.items():
-        stamps |= {f"{view} {name}": _stamp(path) for name in _FILES if (path := getattr(other, name)) is not None}
+    stamps = {
+        f"{view} {name}".strip(): _stamp(path)
+        for view, own in {"": files, **files.others}.items()
+        for name in _FILES
+        if (path := getattr(own, name)) is not None
+    }
     for number, tool in enumerate(files.other_tools):
         stamps[f"other tool {number}"] = f"{tool.mask and _stamp(tool.mask)} {tool.label or ''}"
     if (film := files.video) is not None:
@@ -256,18 +259,11 @@ TABLES: Final = (POSES, SUMMARY, PAGE)
 """Files of all frames together."""
 
 
-def results_of(frames: Iterable[str], views: Iterable[str]) -> list[str]:
+def results_of(frames: Iterable[str], views: Sequence[str]) -> list[str]:
     """Return the paths, in the folder, of all files that frames with views of some names may have."""
-    here, names = Path(), list(views)
-    return [
-        path.as_posix()
-        for frame in frames
-        for path in (
-            result_path(here, frame),
-            overlay_path(here, frame),
-            *(mask_path(here, frame, view) for view in (names if len(names) > 1 else ("",))),
-        )
-    ]
+    here, views = Path(), views if len(views) > 1 else ("",)
+    paths = ((result_path(here, f), overlay_path(here, f), *(mask_path(here, f, v) for v in views)) for f in frames)
+    return [path.as_posix() for of_frame in paths for path in of_frame]
 
 
 def earlier_results(out: Path, chosen: Collection[str], session: Collection[str]) -> dict[str, Status]:

@@ -216,6 +216,10 @@ class Workers:
     report: Callable[..., None] = lambda done, todo, more="": None
     notice: Callable[[str], None] = lambda text: None
 
+    def stage(self, name: str, frames: int) -> None:
+        """Say that a stage of the run begins, of some frames."""
+        self.notice(f"{name}: {frames} frames")
+
 
 def run(
     workers: Executors,

@@ -125,6 +125,8 @@ class TrackedArm:
         DvrkCmaesError
             Another run is writing there, or a process died.
         """
+        if self.by.stop.is_set():
+            return Begun.of(self)
         begun: Begun[RecordedSolution | str | None] = Begun.of(None)
         with ExitStack() as stack:
             own = stack.enter_context(output(self.out, "track"))
@@ -140,15 +142,8 @@ class TrackedArm:
         config = replace(method.config, threads=1)
         pool = stack.enter_context(pool_of(by.count or usable_cores(), recorded.files))
         pool.stop, pool.report = by.stop, by.report
-        work = ArmSetup(
-            recorded.series,
-            self.body.instrument,
-            method.arm,
-            config,
-            run_in(pool, self.body, config),
-            lambda stage, k: by.notice(f"{stage}: {k} frames"),
-            lag=self._lag,
-        )
+        series, instrument, run = recorded.series, self.body.instrument, run_in(pool, self.body, config)
+        work = ArmSetup(series, instrument, method.arm, config, run, by.stage, lag=self._lag)
         if self._given is not None and not recorded.trusted.any():
             return Begun.of("no frame has readings of the outer joints that are not frozen")
         hints = None if settings.evidence == "masks" else method.hints or Hints()

@@ -1,4 +1,4 @@
-"""What is made of a followed recording: overlay video, page, Rerun; of several arms one video, and exchanged tools."""
+"""What is made of a followed recording: overlay video, page, Rerun, results; of several arms one video."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ from dvrk_cmaes.report.track_page import PAGE, FollowedRecording, track_page
 from dvrk_cmaes.results.followed import result_of_row
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import VIDEO, TrackView
-from dvrk_cmaes.runs.agreement import exchanged_arms
 from dvrk_cmaes.runs.track_inputs import files_of_views, read_arrays
 from dvrk_cmaes.silhouette import Renderer
 
@@ -110,14 +109,13 @@ def write_track_arms(out: Path, arms: Mapping[str, TrackedArm]) -> None:
             writer.write(draw_track_of_arms(views, frame=frame, statuses=statuses, order=order))
 
 
-def exchanged_while_followed(arms: Mapping[str, TrackedArm]) -> list[str]:
-    """Say which arms that were followed seem to be exchanged: from which frame on, or in all."""
-    found: dict[str, dict[str, Result]] = {name: {} for name in arms}
-    for name, arm in arms.items():
-        for number, row in enumerate(arm.rows):
-            read = {joint: float(v[number]) for joint, v in arm.readings.items() if np.isfinite(v[number])}
-            found[name][row["frame"]] = replace(result_of_row(name, row), readings=read)
-    return exchanged_arms(found, followed=True)
+def followed_results(arm: TrackedArm) -> dict[str, Result]:
+    """Return the frames of an arm that was followed as results, with their readings, by name."""
+    found = {}
+    for number, row in enumerate(arm.rows):
+        read = {joint: float(v[number]) for joint, v in arm.readings.items() if np.isfinite(v[number])}
+        found[row["frame"]] = replace(result_of_row(row["frame"], row), readings=read)
+    return found
 
 
 def _distance(row: Mapping[str, Any]) -> float:

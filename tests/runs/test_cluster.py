@@ -92,11 +92,8 @@ def test_killed_worker_does_not_change_results(
 ) -> None:
     arm = ArmInSession(read_session(session), bundled_body, FrameMethod("classic", QUICK_CONFIG))
     with dask_executor(cluster.address, session) as external:
-        done = run_batch(
-            arm,
-            tmp_path / "cluster",
-            workers=Workers(executor=external, report=KillHalfWay(cluster.workers[1])),
-        )
+        workers = Workers(executor=external, report=KillHalfWay(cluster.workers[1]))
+        done = run_batch(arm, tmp_path / "cluster", workers=workers)
     assert cluster.workers[1].wait() == -signal.SIGKILL
     assert cluster.workers[0].poll() is None
     failed = [frame["reasons"] for frame in done.document["frames"].values() if frame["status"] == "failed"]
