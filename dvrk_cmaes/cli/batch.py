@@ -12,14 +12,13 @@ from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import (
     FOLDER,
-    MOST_WORKERS,
     OUTPUT,
     CalibrationOptions,
     Flag,
+    Processes,
     ReadingOptions,
     SegmentOptions,
     SessionOptions,
-    WholeOrNone,
     check_range,
     options,
     parse_pixel,
@@ -35,11 +34,9 @@ from dvrk_cmaes.cli.session_tools import (
 from dvrk_cmaes.cli.terminal import (
     INTERRUPTED,
     Line,
+    attended,
     exit_code,
-    note,
     print_error,
-    progress,
-    stopping_on_interrupt,
 )
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import counted
@@ -88,7 +85,7 @@ class BatchOptions:
     joints: Annotated[tuple[Path, ...], Parameter(negative=(), show_default=False)] = ()
     label: str | None = None
     pick: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
-    workers: WholeOrNone = None
+    workers: Processes = None
     scheduler: str | None = None
     time_limit: float = 600.0
     lag: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
@@ -97,7 +94,6 @@ class BatchOptions:
         """Raise an InputError for values that are not valid, or do not fit together."""
         if self.workers is not None and self.scheduler is not None:
             raise InputError("--workers: expected no --scheduler with it, got both")
-        check_range("--workers", self.workers, 1, MOST_WORKERS)
         check_range("--time-limit", self.time_limit, 1e-3, _LONGEST_FRAME, "seconds")
 
     def asked(self, arm: ArmInSession, prompts: SegmentOptions) -> ArmInSession:
@@ -117,28 +113,6 @@ class BatchOptions:
         lag = None if method.session is None else method.session.applied_lag
         lag = lag if self.lag is None else Lag.parse("--lag", self.lag)
         return replace(arm, session=session if lag is None else session.with_lag(lag), method=method)
-
-
-def estimated(
-    arm: ArmInSession,
-    out: Path,
-    *,
-    pattern: str | None = None,
-    resume: bool = True,
-    scheduler: str | None = None,
-    **workers: Any,
-) -> BatchSummary:
-    """Run the batch of an arm's session, with progress on stderr; as `run_batch`, and ``workers`` as of `Workers`."""
-    from dvrk_cmaes.runs.batch import run_batch
-    from dvrk_cmaes.runs.cluster import dask_executor
-    from dvrk_cmaes.runs.pool import Workers
-
-    with ExitStack() as stack:
-        if scheduler is not None:
-            workers["executor"] = stack.enter_context(dask_executor(scheduler, arm.session.folder))
-        stop, report = stack.enter_context(stopping_on_interrupt()), stack.enter_context(progress())
-        by = Workers(stop=stop, report=report, notice=note, **workers)
-        return run_batch(arm, out, pattern=pattern, resume=resume, workers=by)
 
 
 def batch(
@@ -191,6 +165,9 @@ def batch(
     json
         Print only summary.json, on stdout.
     """
+    from dvrk_cmaes.runs.batch import run_batch
+    from dvrk_cmaes.runs.cluster import dask_executor
+
     wanted.check()
     session, pictures = pictures_at(session if wanted.scheduler is None else session.absolute())
     with output_folder(wanted.out, session, "results", "batch") as results:
@@ -200,18 +177,16 @@ def batch(
         read = open_session(session, given, calibrated, joints=wanted.joints, reading=reading, masks=masks)
         arms = {name: wanted.asked(arm, segment) for name, arm in read.items()}
         finished: dict[str, BatchSummary] = {}
-        for name, arm in arms.items():
-            finished[name] = done = estimated(
-                arm,
-                results / name,
-                pattern=wanted.frames or pictures,
-                resume=wanted.resume,
-                scheduler=wanted.scheduler,
-                count=wanted.workers,
-                time_limit=wanted.time_limit,
-            )
-            if done.interrupted:
-                break
+        pattern, resume = wanted.frames or pictures, wanted.resume
+        with ExitStack() as stack:
+            address, count, limit = wanted.scheduler, wanted.workers, wanted.time_limit
+            cluster = None if address is None else stack.enter_context(dask_executor(address, session))
+            by = stack.enter_context(attended(count=count, time_limit=limit, executor=cluster))
+            for name, arm in arms.items():
+                done = run_batch(arm, results / name, pattern=pattern, resume=resume, workers=by)
+                finished[name] = done
+                if done.interrupted:
+                    break
         told = {name: _told(arms[name], each, results / name) for name, each in finished.items()}
         code = tell(told, results, {}, json=json)
     if not done.interrupted:

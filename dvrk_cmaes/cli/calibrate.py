@@ -11,20 +11,18 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from dvrk_cmaes.cli.batch import estimated
 from dvrk_cmaes.cli.options import (
     CAMERA,
     FOLDER,
+    MOST_PROCESSES,
     MOST_SKIPPED,
-    MOST_WORKERS,
     OUTPUT,
     WORKERS,
     Flag,
     ReadingOptions,
     SessionOptions,
-    WholeOrNone,
-    check_range,
     options,
+    whole,
 )
 from dvrk_cmaes.cli.session_tools import (
     Told,
@@ -34,7 +32,7 @@ from dvrk_cmaes.cli.session_tools import (
     reason_lines,
     tell,
 )
-from dvrk_cmaes.cli.terminal import DOUBTFUL, INTERRUPTED, STATUS_STYLES, Line, note, progress
+from dvrk_cmaes.cli.terminal import DOUBTFUL, INTERRUPTED, STATUS_STYLES, Line, attended, note, progress
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -81,16 +79,14 @@ class CalibrateOptions:
     out: Path | None = None
     joints: Annotated[tuple[Path, ...], Parameter(negative=(), show_default=False)] = ()
     frames: str | None = None
-    keyframes: WholeOrNone = None
+    keyframes: Annotated[int | None, whole(_LEAST_KEYFRAMES, MOST_SKIPPED)] = None
     lag: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     refine_camera: Flag = False
     focal: Annotated[float | None, Parameter(group=CAMERA)] = None
-    workers: Annotated[int | None, Parameter(group=WORKERS)] = None
+    workers: Annotated[int | None, whole(1, MOST_PROCESSES, group=WORKERS)] = None
 
     def check(self, place: Path) -> None:
         """Raise an InputError for values that are not valid; ``place`` is the folder that is written."""
-        check_range("--workers", self.workers, 1, MOST_WORKERS)
-        check_range("--keyframes", self.keyframes, _LEAST_KEYFRAMES, MOST_SKIPPED)
         if self.results is not None and self.results.resolve() == place.resolve():
             expected = "expected another folder than --results, whose frames stay as they are"
             raise InputError(f"--out: {expected}, got {place}")
@@ -139,6 +135,7 @@ class CalibrateOptions:
         from dvrk_cmaes.io.output import output
         from dvrk_cmaes.joints.lag import Lag
         from dvrk_cmaes.results.folder import ALONE, ResultsFolder, read_results
+        from dvrk_cmaes.runs.batch import run_batch
         from dvrk_cmaes.runs.pool import Workers, pool_of, usable_cores
 
         lag = None if self.lag is None else Lag.parse("--lag", self.lag)
@@ -150,7 +147,8 @@ class CalibrateOptions:
                 alone = read_results(results)
             else:
                 one = arm.with_config(replace(arm.method.config, threads=1))
-                done = estimated(one, target / ALONE, executor=pool)
+                with attended(executor=pool) as by:
+                    done = run_batch(one, target / ALONE, workers=by)
                 if done.interrupted:
                     return Begun.of(None)
                 alone = ResultsFolder(target / ALONE, done.results, None, None)

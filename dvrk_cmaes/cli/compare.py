@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from dvrk_cmaes.cli.options import OUTPUT, Flag, UrdfOptions, Whole
+from dvrk_cmaes.cli.options import OUTPUT, Flag, UrdfOptions, whole
 from dvrk_cmaes.cli.terminal import Line, answer, table_lines
 from dvrk_cmaes.errors import InputError
 
@@ -23,7 +23,7 @@ _MOST_NAMED = 10  # frames in a line
 
 def compare(
     *results: Path,
-    frames: Whole = 20,
+    frames: Annotated[int, whole(0)] = 20,
     labels: Path | None = None,
     points: Path | None = None,
     instrument: UrdfOptions = UrdfOptions(),
@@ -79,8 +79,6 @@ def compare(
     from dvrk_cmaes.report.compare_page import PAGE, write_compare_page
     from dvrk_cmaes.results.folder import check_writable
 
-    if frames < 0:
-        raise InputError(f"--frames: expected a whole number of at least 0, got {frames}")
     if out is not None:
         check_writable(out)
         check_files(out, "compare", (_TABLE, PAGE))

@@ -13,15 +13,15 @@ from cyclopts import Group, Parameter
 from dvrk_cmaes.cli.options import (
     AUTO,
     LATEST,
-    MOST_SKIPPED,
     OUTPUT,
+    EveryNth,
     Flag,
     LayoutOption,
-    Whole,
     check_range,
     column_names,
     joint_files,
     options,
+    whole,
 )
 from dvrk_cmaes.cli.terminal import Line, answer, tracked, warn
 from dvrk_cmaes.errors import InputError
@@ -160,7 +160,7 @@ class RecordingFiles:
 
     side: Annotated[Literal["left", "right", "both"] | None, Parameter(group=FOLDER)] = None
     arm: Annotated[tuple[str, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = ()
-    episode: Annotated[int, Parameter(group=FOLDER)] = 0
+    episode: Annotated[int, whole(0, MOST_EPISODES, group=FOLDER)] = 0
     camera: Path | None = None
     joints: Path | None = None
     columns: str | None = None
@@ -170,8 +170,7 @@ class RecordingFiles:
     masks: Path | None = None
 
     def check(self) -> None:
-        """Raise an InputError for a start or an episode that is none."""
-        check_range("--episode", self.episode, 0, MOST_EPISODES)
+        """Raise an InputError for a start that is none."""
         if not math.isfinite(self.video_start):
             raise InputError(f"--video-start: expected a finite number of seconds, got {self.video_start:g}")
         check_range("--video-start", self.video_start, -LATEST, LATEST, "seconds")
@@ -225,7 +224,7 @@ class SelectedImages:
         the same way: its lag is taken out.
     """
 
-    every: Whole = 1
+    every: EveryNth = 1
     start: float = 0.0
     end: float = math.inf
     tolerance: float = 0.05
@@ -234,7 +233,6 @@ class SelectedImages:
 
     def check(self) -> None:
         """Raise an InputError for values that are not valid."""
-        check_range("--every", self.every, 1, MOST_SKIPPED)
         if not 0 < self.tolerance < math.inf:
             raise InputError(f"--tolerance: expected a time in seconds above 0, got {self.tolerance:g}")
         if not (0 <= self.start < self.end):

@@ -202,15 +202,29 @@ class LiveOutput:
     seconds: float = math.inf
 
 
+@options(group=METHOD)
+class LiveMethod(CalibrationOptions):
+    """What is known beforehand, and settings.
+
+    Parameters
+    ----------
+    lag
+        Lag of the images behind the readings, s; by default the calibration's, or found while following.
+    config
+        Settings file (TOML); `dvrk-cmaes help settings` lists its keys.
+    """
+
+    lag: float | None = None
+    config: ConfigOption = None
+
+
 def live(
     *,
     topics: LiveTopics = LiveTopics(),
     server: ServerOptions = ServerOptions(),
     camera: LiveCameraOptions = LiveCameraOptions(),
     instrument: UrdfOptions = UrdfOptions(),
-    calibrated: CalibrationOptions = CalibrationOptions(),
-    lag: Annotated[float | None, Parameter(group=METHOD)] = None,
-    config: ConfigOption = None,
+    method: LiveMethod = LiveMethod(),
     output: LiveOutput = LiveOutput(),
 ) -> int:
     """Follow the instruments of a running robot: images and readings from ROS topics, poses to ROS topics.
@@ -239,12 +253,8 @@ def live(
         The camera.
     instrument
         The instrument.
-    calibrated
-        A calibration that is used: base, offsets and lag.
-    lag
-        Lag of the images behind the readings, s; by default the calibration's, or found while following.
-    config
-        Settings file (TOML); `dvrk-cmaes help settings` lists its keys.
+    method
+        A calibration that is used, base, offsets and lag, and settings.
     output
         What is written and published, and for how long.
     """
@@ -258,7 +268,7 @@ def live(
     topics.of_arms(topics.psm)  # wrong usage is said before what is not installed
     connection = server.connection(LogThrottle(note))  # of the connection; follow has its own
     with ExitStack() as stack:
-        setup = _described(topics, camera, instrument, calibrated, lag, config, output, stack)
+        setup = _described(topics, camera, instrument, method, output, stack)
         prepare_long_run()
         stop = stack.enter_context(_stopped(output.seconds))
         shown = stack.enter_context(shown_state())
@@ -282,9 +292,7 @@ def _described(
     topics: LiveTopics,
     camera: LiveCameraOptions,
     instrument: UrdfOptions,
-    calibrated: CalibrationOptions,
-    lag: float | None,
-    config: Path | None,
+    method: LiveMethod,
     output: LiveOutput,
     stack: ExitStack,
 ) -> LiveSetup:
@@ -299,34 +307,27 @@ def _described(
 
     if len(set(topics.psm)) < len(topics.psm):
         raise InputError(f"--psm: expected different arms, got {', '.join(topics.psm)}")
-    calibrated.check_for(topics.psm)
+    method.check_for(topics.psm)
     inputs = topics.of_arms(topics.psm)
     names = {arm: FrameNames(arm, topics.camera_frame, f"{arm}_base") for arm in topics.psm}
     for of_arm in names.values():
         of_arm.check_tf()
     body = instrument.load()
-    if output.out is not None and lag is not None:
+    if output.out is not None and method.lag is not None:
         raise InputError("--out: expected no --lag: the calibration that is found has a lag of its own")
-    rig, settings, arms = camera.rig(inputs), MethodOptions(config=config).resolve(), []
+    rig, settings, arms = camera.rig(inputs), MethodOptions(config=method.config).resolve(), []
     if output.out is not None:
         stack.enter_context(folder_of_command(output.out, "live"))
     for arm in topics.psm:
-        known = calibrated.read(body, instrument.arm, arm)
+        known = method.read(body, instrument.arm, arm)
         folder = None if output.out is None else output.out / (arm if len(topics.psm) > 1 else "")
         if folder is not None:
             stack.enter_context(folder_of_command(folder, "live")).refuse((SESSION,))
         solver = partial(SolverProcess, body, background=True)
         save = None if folder is None else partial(write_json, folder / SESSION)
-        arms.append(ArmSetup(names[arm], body, instrument.kinematics, known, solver, save, settings, lag))
-    return LiveSetup(
-        inputs,
-        tuple(arms),
-        rig,
-        camera.rectified,
-        output.overlay,
-        origin=time.time_ns(),
-        process=lambda: Pool(int, 1).begin(),
-    )
+        arms.append(ArmSetup(names[arm], body, instrument.kinematics, known, solver, save, settings, method.lag))
+    shown = camera.rectified, output.overlay
+    return LiveSetup(inputs, tuple(arms), rig, *shown, time.time_ns(), lambda: Pool(int, 1).begin())
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -37,7 +38,7 @@ SEGMENT = Group.create_ordered("Segmentation")
 OUTPUT = Group.create_ordered("Output")
 
 LARGEST_SEED = 2**32 - 1
-MOST_THREADS = MOST_WORKERS = 1000
+MOST_PROCESSES = 1000
 MOST_SKIPPED = 1_000_000  # of --every
 AUTO = "auto"  # of --lag
 NO_READINGS = "none"  # of --joints
@@ -48,17 +49,36 @@ _OF_MESHES = 4.3e-3, 4.45e-3
 LATEST = 1e11  # s, of times since any clock's start
 
 
-def _whole(_: Any, tokens: Sequence[Token]) -> int:
-    """Convert the text of an option to a whole number; InputError for others, such as 1.5, which are not rounded."""
-    try:
-        return int(tokens[0].value)
-    except ValueError:
-        raise InputError(f"{tokens[0].keyword}: expected a whole number, got {shown(tokens[0].value)}") from None
+def check_range(option: str, value: float | None, least: float, most: float, what: str = "a whole number") -> None:
+    """Raise an InputError for the value of an option that is given and not from ``least`` to ``most``."""
+    if value is not None and not least <= value <= most:
+        limit = f"at most {most:.10g}" if value > most else f"at least {least:.10g}"
+        raise InputError(f"{option}: expected {what} of {limit}, got {shown(value)}")
+
+
+def whole(least: float = -math.inf, most: float = math.inf, **more: Any) -> Parameter:
+    """Return how an option takes a whole number in a range; InputError for others, such as 1.5, which are not rounded.
+
+    ``more`` are further fields of `Parameter`.
+    """
+
+    def converted(_: Any, tokens: Sequence[Token]) -> int:
+        try:
+            value = int(tokens[0].value)
+        except ValueError:
+            raise InputError(f"{tokens[0].keyword}: expected a whole number, got {shown(tokens[0].value)}") from None
+        check_range(tokens[0].keyword or "", value, least, most)
+        return value
+
+    return Parameter(converter=converted, **more)
 
 
 LayoutOption = Literal["mono", "side-by-side", "top-bottom"] | None
-Whole = Annotated[int, Parameter(converter=_whole)]
-WholeOrNone = Annotated[int | None, Parameter(converter=_whole)]
+Whole = Annotated[int, whole()]
+EveryNth = Annotated[int, whole(1, MOST_SKIPPED)]
+SeedOption = Annotated[int, whole(0, LARGEST_SEED)]
+Processes = Annotated[int | None, whole(1, MOST_PROCESSES)]
+"""Number of processes, or of threads."""
 Flag = Annotated[bool, Parameter(negative=())]
 Pixels = Annotated[tuple[str, ...], Parameter(negative=(), show_default=False, allow_leading_hyphen=True)]
 ConfigOption = Annotated[Path | None, Parameter(name="--config", group=METHOD)]
@@ -68,13 +88,6 @@ ConfigOption = Annotated[Path | None, Parameter(name="--config", group=METHOD)]
 def options(**shown: Any) -> Callable[[type[T]], type[T]]:
     """Return a decorator for a class whose fields are options of a command, ``shown`` as `Parameter` says."""
     return lambda kind: Parameter(name="*", **shown)(dataclass(frozen=True, kw_only=True)(kind))
-
-
-def check_range(option: str, value: float | None, least: float, most: float, what: str = "a whole number") -> None:
-    """Raise an InputError for the value of an option that is given and not from ``least`` to ``most``."""
-    if value is not None and not least <= value <= most:
-        limit = f"at most {most:.10g}" if value > most else f"at least {least:.10g}"
-        raise InputError(f"{option}: expected {what} of {limit}, got {shown(value)}")
 
 
 @options(group=CAMERA)
@@ -150,14 +163,13 @@ class ReadingOptions:
     """
 
     columns: str | None = None
-    frame_offset: Annotated[int | None, Parameter(converter=_whole, allow_leading_hyphen=True)] = None
-    frame_step: Whole = 1
+    frame_offset: Annotated[int | None, whole(allow_leading_hyphen=True)] = None
+    frame_step: EveryNth = 1
 
     def read_as(self, arm: str | None = None, columns: tuple[str, ...] = ()) -> ReadAs:
         """Return how files are read; ``arm`` and ``columns`` are those of session.toml."""
         from dvrk_cmaes.joints.rows import ReadAs
 
-        check_range("--frame-step", self.frame_step, 1, MOST_SKIPPED)
         offset = 0 if self.frame_offset is None and self.frame_step > 1 else self.frame_offset
         return ReadAs(
             arm or None, columns if self.columns is None else column_names(self.columns), offset, self.frame_step
@@ -305,8 +317,8 @@ class MethodOptions:
 
     search: str | None = None
     preset: Literal["card"] | None = None
-    seed: WholeOrNone = None
-    threads: WholeOrNone = None
+    seed: Annotated[int | None, whole(0, LARGEST_SEED)] = None
+    threads: Processes = None
     config: Path | None = None
 
     def resolve(self) -> EstimateConfig:
@@ -336,8 +348,6 @@ class MethodOptions:
             settings = replace(settings, search=replace(settings.search, method=self.search))
         if self.preset == "card":
             settings = replace(settings, refine=replace(settings.refine, derivatives="differences"))
-        check_range("--seed", self.seed, 0, LARGEST_SEED)
-        check_range("--threads", self.threads, 1, MOST_THREADS)
         given = {name: value for name in ("seed", "threads") if (value := getattr(self, name)) is not None}
         return replace(settings, **given)
 

@@ -9,16 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from dvrk_cmaes.cli.options import (
-    FRAME,
-    MOST_THREADS,
-    OUTPUT,
-    SEGMENT,
-    Flag,
-    SegmentOptions,
-    Whole,
-    check_range,
-)
+from dvrk_cmaes.cli.options import FRAME, MOST_PROCESSES, OUTPUT, SEGMENT, Flag, SegmentOptions, whole
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer, exit_code, note
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 
@@ -32,7 +23,7 @@ def segment(
     *,
     model: SegmentOptions = SegmentOptions(),
     instrument: Annotated[str, Parameter(group=SEGMENT)] = "lnd",
-    threads: Annotated[Whole, Parameter(group=OUTPUT)] = 2,
+    threads: Annotated[int, whole(1, MOST_PROCESSES, group=OUTPUT)] = 2,
     out: Annotated[Path, Parameter(group=OUTPUT)] = Path("dvrk-cmaes-masks"),
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
@@ -73,7 +64,6 @@ def segment(
     json
         Print only a summary, as JSON, on stdout.
     """
-    check_range("--threads", threads, 1, MOST_THREADS)
     import cv2
 
     from dvrk_cmaes.cli.session_tools import pictures_at

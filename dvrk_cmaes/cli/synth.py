@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from dvrk_cmaes.cli.options import LARGEST_SEED, OUTPUT, CameraOptions, Flag, UrdfOptions, Whole, check_range, options
+from dvrk_cmaes.cli.options import OUTPUT, CameraOptions, Flag, SeedOption, UrdfOptions, Whole, options
 from dvrk_cmaes.cli.terminal import Line, show
 from dvrk_cmaes.errors import InputError
 
@@ -70,7 +70,7 @@ class SynthOptions:
     stereo: Flag = False
     baseline: float = 0.0053
     arms: Literal[1, 2] = 1
-    seed: Whole = 0
+    seed: SeedOption = 0
     images: bool = True
     mp4: Flag = False
     ecm: Flag = False
@@ -79,7 +79,6 @@ class SynthOptions:
         """Raise an InputError for values that are not valid, or do not fit together."""
         if not 1 <= self.frames <= _MOST_FRAMES:
             raise InputError(f"--frames: expected 1 to {_MOST_FRAMES}, got {self.frames}")
-        check_range("--seed", self.seed, 0, LARGEST_SEED)
         for option, given in (
             ("--lag", self.lag is not None),
             ("--cables", self.cables is not None),

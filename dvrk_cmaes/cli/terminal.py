@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 if TYPE_CHECKING:
     from dvrk_cmaes.io.csv_file import Table
+    from dvrk_cmaes.runs.pool import Workers
 
 from dvrk_cmaes.io.short_text import escaped
 
@@ -128,7 +129,7 @@ def tracked(items: Iterable[T], what: str, total: int | None = None) -> Iterable
 
 
 @contextlib.contextmanager
-def progress(arm: str = "") -> Iterator[Callable[[int, int, str], None]]:
+def progress() -> Iterator[Callable[[int, int, str], None]]:
     """Give a function that shows how many of all frames or parts are done: in a bar on a terminal, or in lines.
 
     A smaller number than before begins another stage. Within another one it is that one's.
@@ -143,7 +144,7 @@ def progress(arm: str = "") -> Iterator[Callable[[int, int, str], None]]:
     said = TextColumn("{task.fields[said]}")
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), said)
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task(arm or "done", total=None, said="starting")
+        task = bar.add_task("done", total=None, said="starting")
 
         def report(done: int, total: int, more: str = "") -> None:
             nonlocal started, last, before
@@ -156,13 +157,22 @@ def progress(arm: str = "") -> Iterator[Callable[[int, int, str], None]]:
             before = now
             if not console.is_terminal and now - last >= _LINE_EVERY:
                 last = now
-                note(f"{arm}: " * bool(arm) + f"{done} of {total} done, {rate}{more}")
+                note(f"{done} of {total} done, {rate}{more}")
 
         _shown.append(report)
         try:
             yield report
         finally:
             _shown.pop()
+
+
+@contextlib.contextmanager
+def attended(**by: Any) -> Iterator[Workers]:
+    """Give what a run is done by, fields of `Workers`, which shows its progress, and which Ctrl-C stops."""
+    from dvrk_cmaes.runs.pool import Workers
+
+    with stopping_on_interrupt() as stop, progress() as report:
+        yield Workers(stop=stop, report=report, notice=note, **by)
 
 
 def exit_code(statuses: Iterable[str]) -> int:

@@ -12,18 +12,15 @@ from cyclopts import Parameter
 from dvrk_cmaes.cli.options import (
     AUTO,
     FOLDER,
-    MOST_SKIPPED,
-    MOST_WORKERS,
     NO_READINGS,
     OUTPUT,
     CalibrationOptions,
     CameraOptions,
+    EveryNth,
     Flag,
+    Processes,
     PromptOptions,
     SessionOptions,
-    Whole,
-    WholeOrNone,
-    check_range,
     options,
 )
 from dvrk_cmaes.cli.session_tools import (
@@ -38,10 +35,9 @@ from dvrk_cmaes.cli.terminal import (
     DOUBTFUL,
     INTERRUPTED,
     Line,
+    attended,
     note,
-    progress,
     show,
-    stopping_on_interrupt,
     warn,
 )
 from dvrk_cmaes.errors import InputError
@@ -92,11 +88,11 @@ class TrackOptions:
     """
 
     out: Path | None = None
-    every: Whole = 1
+    every: EveryNth = 1
     joints: str | None = None
     lag: Annotated[str, Parameter(allow_leading_hyphen=True)] = AUTO
     causal: Flag = False
-    workers: WholeOrNone = None
+    workers: Processes = None
     video: bool = True
     page: bool = True
     rerun: Path | None = None
@@ -110,8 +106,6 @@ class TrackOptions:
 
     def check(self) -> None:
         """Raise an InputError for a value that is not valid."""
-        check_range("--every", self.every, 1, MOST_SKIPPED)
-        check_range("--workers", self.workers, 1, MOST_WORKERS)
         if self.rerun is not None:
             from dvrk_cmaes.export.rerun_file import check_rerun
 
@@ -206,7 +200,6 @@ def track(
     from dvrk_cmaes.calibration.together import solved_together
     from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
     from dvrk_cmaes.results.tracked import VIDEO
-    from dvrk_cmaes.runs.pool import Workers
     from dvrk_cmaes.runs.track_outputs import write_track_arms
 
     follow.check()
@@ -217,8 +210,7 @@ def track(
         read = open_session(folder, given, calibrated, joints=files, video=video, ahead=not follow.causal)
         if len(read) > 1:
             follow.check_for_several(place)
-        with stopping_on_interrupt() as stop, progress() as report:
-            by = Workers(follow.workers, stop=stop, report=report, notice=note)
+        with attended(count=follow.workers) as by:
             arms = {name: follow.arm(name, arm, target, place, by) for name, arm in read.items()}
             solved_together({name: arm.begin for name, arm in arms.items()})
         interrupted = any(arm.interrupted for arm in arms.values())
