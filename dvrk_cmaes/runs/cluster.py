@@ -22,7 +22,7 @@ CONNECT_S: Final = 15  # s, for the connection to the scheduler, and then for it
 def dask_executor(address: str, folder: str | Path) -> Iterator[Executors]:
     """Return a context manager that connects to a Dask scheduler and gives its workers as an executor.
 
-    Executors may join and leave during the run. If a worker dies, its frames are given to other workers. A frame on
+    Workers may join and leave during the run. If a worker dies, its frames are given to other workers. A frame on
     which more workers have died than the scheduler's setting ``allowed-failures`` (3 by default) is given up.
 
     Parameters

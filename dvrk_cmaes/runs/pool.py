@@ -287,10 +287,10 @@ def run(
                     yield running.pop(future), workers.value(future)
             if died and pool is not None:
                 pool.renew()
-                if alone:
-                    yield alone.popleft(), WorkerDied(_DIED)
-                else:
-                    alone.extend(died)
+            if died and alone:
+                yield alone.popleft(), WorkerDied(_DIED)
+            else:
+                alone.extend(died)
     finally:
         if running and pool is not None:
             pool.kill()

@@ -8,7 +8,8 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import pytest
@@ -107,16 +108,8 @@ def test_command_uses_scheduler(
     cluster: Cluster, session: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "quick.toml").write_text(QUICK)
-    options = [
-        "--config",
-        str(tmp_path / "quick.toml"),
-        "--frames",
-        "000[01]",
-        "--out",
-        str(tmp_path / "out"),
-        "--json",
-    ]
-    assert main(["batch", str(session), *options, "--scheduler", cluster.address]) in (0, 3)
+    options = ["--config", str(tmp_path / "quick.toml"), "--frames", "000[01]", "--out", str(tmp_path / "out")]
+    assert main(["batch", str(session), *options, "--scheduler", cluster.address, "--json"]) in (0, 3)
     assert json.loads(capfd.readouterr().out)["counts"]["frames"] == 2
 
 
@@ -149,3 +142,9 @@ def test_executor_shutdown_ends_work_with_reason() -> None:
         "the workers were lost (cannot schedule new futures after shutdown): "
         "what is done is kept, and the same command goes on from there"
     )
+
+
+def test_executor_whose_process_dies_ends_work_with_reason() -> None:
+    match = "the workers were lost"
+    with ProcessPoolExecutor(1, get_context("spawn")) as executor, pytest.raises(DvrkCmaesError, match=match):
+        list(run(Executors(executor, lambda: 2), range(10), squared_unless_three))
