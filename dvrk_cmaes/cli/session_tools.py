@@ -138,7 +138,8 @@ def tell(
     for name, own in arms.items():
         for text in dict.fromkeys(own.warnings):
             warn(text, name)
-    exchanged = exchanged_arms({name: own.results for name, own in arms.items()}, followed=followed)
+    several = len(arms) > 1
+    exchanged = exchanged_arms({name: own.results for name, own in arms.items()}, followed=followed) if several else []
     for text in exchanged:
         warn(text)
     known = {name: own.calibration for name, own in arms.items() if own.calibration is not None}

@@ -206,8 +206,8 @@ def track(
     with output_folder(follow.out, session if session.is_dir() else session.parent, "tracks", "track") as target:
         folder, video = _session_of(session, follow, target, given.camera)
         files = () if follow.joints is None else (Path(follow.joints),)
-        setup = read_setup_joints(folder / SETUP)
         read = open_session(folder, given, calibrated, joints=files, video=video, ahead=not follow.causal)
+        setup = read_setup_joints(folder / SETUP) if len(read) > 1 else {}
         if len(read) > 1:
             follow.check_for_several(place)
         with attended(count=follow.workers) as by:
