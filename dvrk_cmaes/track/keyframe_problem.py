@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.calibrate import calibrate_session
 from dvrk_cmaes.calibration.document import SessionCalibration
@@ -23,6 +24,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import PackedMask, seen_views
+from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.joints.series import ReadingSeries
@@ -36,14 +38,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Keyframe:
-    """An image that is kept: its time, s, masks and ignored pixels by view, packed, and readings.
+    """An image that is kept: its time, s, masks and ignored pixels (H, W) by view as packed bits, and readings.
 
     ``rates`` are those of the readings, per s.
     """
 
     time: float
-    masks: Mapping[str, PackedMask]
-    ignored: Mapping[str, PackedMask]
+    masks: Mapping[str, NDArray[np.uint8]]
+    ignored: Mapping[str, NDArray[np.uint8]]
     readings: Mapping[str, float]
     rates: Mapping[str, float]
 
@@ -60,9 +62,12 @@ class Keyframe:
         rig
             The rig whose views the keyframe has.
         """
-        both = self.masks, self.ignored
-        masks, ignored = ({name: packed.restored() for name, packed in own.items()} for own in both)
-        return FrameData(seen_views(masks, rig, ignored or None))
+
+        def arrays(packed: Mapping[str, NDArray[np.uint8]]) -> dict[str, Bool]:
+            sizes = {name: (rig.view(name).camera.height, rig.view(name).camera.width) for name in packed}
+            return {name: PackedMask(sizes[name], bits.tobytes()).restored() for name, bits in packed.items()}
+
+        return FrameData(seen_views(arrays(self.masks), rig, arrays(self.ignored) or None))
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,6 @@ import numpy as np
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import ecm_readings
-from dvrk_cmaes.frames.seen_view import PackedMask
 from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.names import ECM_JOINTS
@@ -215,7 +214,7 @@ class Keyframes:
         if len(self) >= MOST_KEYFRAMES and not self._drops_one(apart):
             return
         rates = dict(zip(self._names, [*reading.outer_rate.tolist(), *reading.joint_rate.tolist()], strict=False))
-        shown, hidden = ({name: PackedMask.of(each) for name, each in own.items()} for own in (masks, seen.ignored))
+        shown, hidden = ({name: np.packbits(each) for name, each in own.items()} for own in (masks, seen.ignored))
         self._kept.append(Keyframe(time, shown, hidden, readings, rates))
         self._places = np.vstack([self._places, place])
         self._readings.near = [keyframe.time for keyframe in self._kept]
