@@ -96,20 +96,23 @@ class SpanRays {
 
   // Find the links whose outline a line crosses both before and after each of its spans.
   void find_enclosing(const Lines& lines, const Outline& outline, Index begin, Index end) {
-    enclosing_.resize(std::max(end - begin, 0));
+    enclosing_.resize(std::max(end - begin, 0)), crossed_.resize(enclosing_.size());
     std::uint64_t seen = 0;
-    for (Index i = begin; i < end; ++i) enclosing_[i - begin] = seen |= bit(outline.link_of(lines.crossings[i].piece));
+    for (Index i = begin; i < end; ++i) {
+      crossed_[i - begin] = bit(outline.link_of(lines.crossings[i].piece));
+      enclosing_[i - begin] = seen |= crossed_[i - begin];
+    }
     seen = 0;
     for (Index i = end; i-- > begin;) {
       enclosing_[i - begin] &= seen;
-      seen |= bit(outline.link_of(lines.crossings[i].piece));
+      seen |= crossed_[i - begin];
     }
   }
 
   std::vector<Ray> rays_;
   std::vector<Lines*> all_;
   std::vector<std::size_t> chosen_;
-  std::vector<std::uint64_t> enclosing_;
+  std::vector<std::uint64_t> enclosing_, crossed_;
 };
 
 }  // namespace kernel
