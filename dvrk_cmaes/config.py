@@ -82,11 +82,11 @@ class SearchConfig:
     """
 
     method: str = "cmaes"
-    samples: int = 512
-    starts: int = 32
-    evaluations: int = 640
+    samples: int = 768
+    starts: int = 48
+    evaluations: int = 960
     width_px: int = field(default=80, metadata=_WIDTH)
-    detail_m: float = field(default=1e-3, metadata=Limits(least=1e-6).metadata)
+    detail_m: float = field(default=6e-4, metadata=Limits(least=1e-6).metadata)
     use_edges: bool = True
     free_share: float = field(default=0.15, metadata=_SHARE_OR_ZERO)
     uniform_joints_share: float = 0.25
