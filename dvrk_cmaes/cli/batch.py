@@ -24,12 +24,12 @@ from dvrk_cmaes.cli.options import (
     parse_pixel,
 )
 from dvrk_cmaes.cli.session_tools import (
-    Told,
+    ArmReport,
     open_session,
     output_folder,
     pictures_at,
     reason_lines,
-    tell,
+    report_arms,
 )
 from dvrk_cmaes.cli.terminal import (
     INTERRUPTED,
@@ -187,8 +187,8 @@ def batch(
                 finished[name] = done
                 if done.interrupted:
                     break
-        told = {name: _told(arms[name], each, results / name) for name, each in finished.items()}
-        code = tell(told, results, {}, json=json)
+        reports = {name: _report_of(arms[name], each, results / name) for name, each in finished.items()}
+        code = report_arms(reports, results, {}, json=json)
     if not done.interrupted:
         return code
     again = "the same command" if wanted.resume else "the same command without --overwrite"
@@ -197,7 +197,7 @@ def batch(
     return INTERRUPTED
 
 
-def _told(arm: ArmInSession, done: BatchSummary, out: Path) -> Told:
+def _report_of(arm: ArmInSession, done: BatchSummary, out: Path) -> ArmReport:
     """Return what is said of an arm; one that was interrupted is not compared with others."""
     from dvrk_cmaes.joints.prior import describe_commanded
 
@@ -205,7 +205,7 @@ def _told(arm: ArmInSession, done: BatchSummary, out: Path) -> Told:
     warnings = [*arm.session.rig.remarks, *([describe_commanded(commanded)] if commanded else [])]
     warnings += done.document.get("rig_doubts", ())
     code = exit_code(result.status for result in results.values())
-    return Told(done.document, _lines(done.document, out), warnings, code, {} if done.interrupted else results)
+    return ArmReport(done.document, _lines(done.document, out), warnings, code, {} if done.interrupted else results)
 
 
 def _lines(document: dict[str, Any], folder: Path) -> Iterator[Line]:

@@ -25,12 +25,12 @@ from dvrk_cmaes.cli.options import (
     whole,
 )
 from dvrk_cmaes.cli.session_tools import (
-    Told,
+    ArmReport,
     found_lines,
     open_session,
     output_folder,
     reason_lines,
-    tell,
+    report_arms,
 )
 from dvrk_cmaes.cli.terminal import DOUBTFUL, INTERRUPTED, STATUS_STYLES, Line, attended, note, progress
 from dvrk_cmaes.errors import InputError
@@ -229,17 +229,17 @@ def calibrate(
         solved = {name: solution for name, solution in found.items() if solution is not None}
         if len(solved) < len(arms):
             return INTERRUPTED
-        told = {name: _told(solution, target / name, json=json) for name, solution in solved.items()}
-        return tell(told, target, setup, json=json)
+        reports = {name: _report_of(solution, target / name, json=json) for name, solution in solved.items()}
+        return report_arms(reports, target, setup, json=json)
 
 
-def _told(solved: SolvedSession, out: Path, *, json: bool) -> Told:
+def _report_of(solved: SolvedSession, out: Path, *, json: bool) -> ArmReport:
     """Return what is said of an arm that is doubtful if the session is, or a frame that was solved with it."""
     calibration = solved.calibration
     warnings = calibration.remarks if not json else calibration.warnings
     statuses = {calibration.status, *(solved.results[name].status for name in solved.leave_one_out)}
     code = DOUBTFUL if statuses != {"ok"} else 0
-    return Told(calibration.to_dict(), _lines(solved, out), warnings, code, solved.results, calibration)
+    return ArmReport(calibration.to_dict(), _lines(solved, out), warnings, code, solved.results, calibration)
 
 
 def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:

@@ -204,7 +204,7 @@ class LiveOutput:
 
 @options(group=METHOD)
 class LiveMethod(CalibrationOptions):
-    """What is known beforehand, and settings.
+    """The calibration that following begins with, and settings.
 
     Parameters
     ----------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -108,7 +108,7 @@ def output_folder(out: Path | None, inside: Path, name: str, command: str, *, wa
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class ArmReport:
     """What a command says of an arm: a document or lines, warnings, and the exit code of this arm alone.
 
     Arms are compared with each other by their ``results``, by frame, and by their ``calibration``.
@@ -118,12 +118,12 @@ class Told:
     lines: Iterable[Line]
     warnings: Iterable[str]
     code: int
-    results: Mapping[str, Result]
+    results: Mapping[str, Result] = field(default_factory=dict)
     calibration: SessionCalibration | None = None
 
 
-def tell(
-    arms: Mapping[str, Told], out: Path, setup: Mapping[str, Float64], *, json: bool, followed: bool = False
+def report_arms(
+    arms: Mapping[str, ArmReport], out: Path, setup: Mapping[str, Float64], *, json: bool, followed: bool = False
 ) -> int:
     """Print the documents of all arms as JSON, or else their lines; compare the arms, and return the exit code.
 

@@ -24,12 +24,12 @@ from dvrk_cmaes.cli.options import (
     options,
 )
 from dvrk_cmaes.cli.session_tools import (
-    Told,
+    ArmReport,
     found_lines,
     open_session,
     output_folder,
     reason_lines,
-    tell,
+    report_arms,
 )
 from dvrk_cmaes.cli.terminal import (
     DOUBTFUL,
@@ -219,8 +219,8 @@ def track(
             write_track_arms(target, arms)
             if not json:
                 show([Line(f"all arms: {target / VIDEO}")])
-        told = {name: _told(arm, compared=compared) for name, arm in arms.items()}
-        code = tell(told, target, setup, json=json, followed=True)
+        reports = {name: _report_of(arm, compared=compared) for name, arm in arms.items()}
+        code = report_arms(reports, target, setup, json=json, followed=True)
     return INTERRUPTED if interrupted else code
 
 
@@ -253,14 +253,16 @@ def _session_of(path: Path, follow: TrackOptions, out: Path, camera: CameraOptio
     return path, None if video is None else Video(video)
 
 
-def _told(arm: TrackedArm, *, compared: bool) -> Told:
+def _report_of(arm: TrackedArm, *, compared: bool) -> ArmReport:
     """Return what is said of an arm, and, if all are ``compared``, its results."""
     from dvrk_cmaes.runs.track_outputs import followed_results
 
     known, counts = arm.calibration, arm.counts
     warnings = (*arm.session.rig.remarks, *arm.remarks, *(() if known is None else known.warnings))
     code = DOUBTFUL if set(counts) - {"ok"} else 0
-    return Told(counts, _lines(arm), warnings, code, *((followed_results(arm), known) if compared else ({}, None)))
+    if not compared:
+        return ArmReport(counts, _lines(arm), warnings, code)
+    return ArmReport(counts, _lines(arm), warnings, code, followed_results(arm), known)
 
 
 def _lines(arm: TrackedArm) -> Iterator[Line]:

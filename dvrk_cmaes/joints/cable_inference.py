@@ -49,7 +49,7 @@ class Assumed:
 
 
 class Inference:
-    """What the observations tell with some assumptions.
+    """The coefficients and errors given the observations and some assumptions.
 
     ``log_likelihood`` is that of all observations; ``mean`` (K,) and ``covariance`` (K, K) are of the coefficients
     given all of them.

@@ -117,14 +117,14 @@ class LiveArm:
         self.poses += result.camera_from_root is not None and result.status != "lost"
         self.ok += result.status == "ok"
         self._stated = self._now()
-        self.tell(WAITING)
+        self.set_state(WAITING)
         self.base_state = state
 
     def _fail(self, error: Exception) -> None:
         """Leave out a frame whose step failed, and begin anew after several in a row."""
         if isinstance(error, InputError):
             self._report(str(error))
-            self.tell(LEFT_OUT, str(error))
+            self.set_state(LEFT_OUT, str(error))
             return
         if isinstance(error, MemoryError):
             reason = "out of memory"
@@ -134,11 +134,11 @@ class LiveArm:
             reason = f"internal error: {where}: {one_line(error)}"
         self._failures += 1
         self._report(f"{reason}; the image is left out; after {MOST_FAILURES} in a row following begins anew")
-        self.tell(LEFT_OUT, reason)
+        self.set_state(LEFT_OUT, reason)
         if self._failures >= MOST_FAILURES:
             self.begin(self._rig)
 
-    def tell(self, state: str, reason: str = "") -> None:
+    def set_state(self, state: str, reason: str = "") -> None:
         """State what is waited for, or why a frame is left out."""
         self.state, self._reason = state, reason
 

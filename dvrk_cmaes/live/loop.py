@@ -131,7 +131,7 @@ class LiveLoop:
         for remark in rig.remarks:
             self._report(f"warning: {remark}")
         for arm in self._arms:
-            arm.tell(WAITING)
+            arm.set_state(WAITING)
 
     def _take(self, frame: LiveFrame, stated: Rig, silent: tuple[str, ...]) -> None:
         """Follow a frame, or leave it out for one of the reasons of this module's description."""
@@ -179,7 +179,7 @@ class LiveLoop:
         """Count a frame that is left out."""
         self.counts.refused += 1
         for arm in self._arms:
-            arm.tell(LEFT_OUT, reason)
+            arm.set_state(LEFT_OUT, reason)
 
     def _fit(self, sizes: Sizes, stated: Rig, topic: str) -> None:
         """Begin to follow, where the cameras or the size of the images are others than before.
