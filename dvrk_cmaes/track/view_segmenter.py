@@ -126,11 +126,12 @@ class ViewSegmenter:
             if array is not None:
                 _check_size(name, array, view.camera)
         used = None if image is not None and image.ndim == 2 else image
-        now = None if used is None else crc32(used[::4].tobytes())
-        shown = surrounded = False
+        now, shown, surrounded = None, False, False
         if mask is not None:
             now, counts = crc32(np.packbits(mask).tobytes()), True if ignore is None else ~ignore
             shown, surrounded = bool((mask & counts).any()), bool((~mask & counts).any())
+        elif used is not None:
+            now = crc32(used[::4].tobytes())
         problem = image_black(self._black_level if image is None else int(image.max()), self._black_level)
         if problem is None and (mask is not None or used is None):
             problem = mask_says_nothing(given=mask is not None, shown=shown, surrounded=surrounded)
