@@ -55,10 +55,13 @@ def read_coco_mask(path: Path, name: str | None, categories: frozenset[str] | No
         there = sorted({kind for _, kinds in parts for kind in kinds})
         got = ", ".join(sorted(categories or ()))
         raise InputError(f"{path}: label: expected one of the categories {listed(there, 10)}, got {got}")
-    masks = [_drawn(path, part, size) for part in chosen] + ([] if size is None else [np.zeros(size, np.bool_)])
-    if not masks:
+    mask = None if size is None else np.zeros(size, np.bool_)
+    for part in chosen:
+        drawn = _drawn(path, part, size)
+        mask = drawn if mask is None else mask | drawn
+    if mask is None:
         raise InputError(f"{path}: expected {EXPECTED}, got the fields {listed(document) or '(none)'}")
-    return np.asarray(np.any(masks, axis=0))
+    return mask
 
 
 def frames_of(path: Path) -> list[str]:

@@ -42,7 +42,7 @@ class SolverProcess(ExitStack):
     def __init__(self, body: Body, *, threads: int = 1, background: bool = False) -> None:
         super().__init__()
         self._threads, self._body = threads, packed(body)
-        self._process = self.enter_context(Pool(partial(os.nice, 10) if background else int, 1))
+        self._process = self.enter_context(Pool(partial(os.nice, 10) if background and hasattr(os, "nice") else int, 1))
         self._asking = self.enter_context(ThreadPoolExecutor(1))
         self._ended = False
         self.callback(self._end)
