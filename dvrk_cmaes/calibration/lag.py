@@ -29,6 +29,8 @@ from dvrk_cmaes.joints.lag import Lag, Unit
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.joints.series import ReadingSeries
 
+FRAME_SECONDS: Final = 1 / 30
+"""Time between images that have no times."""
 LEAST_AT_LAG: Final = 4
 """Frames that must have readings at a lag."""
 MOVE: Final = "a recording in which the arm moves quickly would determine it"
@@ -45,7 +47,6 @@ NO_ORDER: Final = (
 """Why none can be."""
 
 # readings
-_FRAME_SECONDS = 1 / 30  # between images that have no times
 _ROUGH = 5.0  # standard deviations of a reading that it may change unevenly from row to row
 # what a curve shows
 _FREEDOM = 5.0  # degrees of freedom of a pose that errs independently of the others
@@ -257,7 +258,7 @@ class SessionLag:
     @property
     def unit_seconds(self) -> float:
         """Length of the unit of the series, s; images that are only counted are 1 / 30 s apart."""
-        return 1.0 if self.readings.unit == "s" else _FRAME_SECONDS
+        return 1.0 if self.readings.unit == "s" else FRAME_SECONDS
 
     @property
     def _timed(self) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.blocks import Calibration, PredictedBlock
 from dvrk_cmaes.calibration.consensus import Consensus, Mode, choose_modes, find_consensus
-from dvrk_cmaes.calibration.lag import LEAST_AT_LAG, MOVE, LagCurve, SessionLag
+from dvrk_cmaes.calibration.lag import FRAME_SECONDS, LEAST_AT_LAG, MOVE, LagCurve, SessionLag
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, solve_arms
 from dvrk_cmaes.geometry import Float64, Indices
@@ -30,7 +30,6 @@ FARTHEST: Final = {"frames": 90.0, "s": 3.0}
 UNLIKELY: Final = 1.5
 """Ratio to the least misfit, from which on a lag is unlikely."""
 
-_LONGEST_STEP = {"frames": 1.0, "s": 1 / 30}  # of the search, at most the time between images
 _MOST_STEPS = 61
 _CABLE_SECONDS = 2.0  # for which the errors of the joints that cables move stay alike
 _LEAST_FRAMES = 6  # of a session; with fewer, a lag cannot be distinguished from outliers
@@ -100,7 +99,7 @@ class _LagSearch:
         """Time between lags that are compared, in the unit of the readings."""
         series = self.known.readings
         low, high = RANGE[series.unit]
-        return max(min(_LONGEST_STEP[series.unit], series.interval), (high - low) / (_MOST_STEPS - 1))
+        return max(min(FRAME_SECONDS / self.known.unit_seconds, series.interval), (high - low) / (_MOST_STEPS - 1))
 
     def found(self) -> SessionLag:
         """Return what the frames show of the lag."""
