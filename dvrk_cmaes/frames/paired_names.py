@@ -15,9 +15,8 @@ _ADDED = re.compile(
     rf"^(?:mask|label|seg)s?[_-]|[_-](?:mask|label|seg|gt|segmentation(?:mask)?)s?$|\.(?:png|jpe?g|bmp|tiff?)$|{ROBOFLOW.pattern}",
     re.IGNORECASE,
 )
-_TASK = re.compile(
-    r"task-(\d+)-annotation-"
-)  # of Label Studio: counts images as they were given to it, in all projects
+# of Label Studio: counts images as they were given to it, in all projects
+_TASK = re.compile(r"task-(\d+)-annotation-")
 
 
 def paired(names: Iterable[str], others: Iterable[str]) -> dict[str, str]:
