@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.geometry import Bool, Float64, Indices
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
 
 Times = NDArray[np.int64] | Float64
 
@@ -55,6 +58,15 @@ class TimedReadings:
         # np.unique returns the first of equal times; the order is reversed to get the last
         increasing, last = np.unique(stamps[::-1], return_index=True)
         return cls(joints, increasing, table[::-1][last], source)
+
+    @cached_property
+    def spline(self) -> BSpline:
+        """Cubic spline of the number of a reading, with times and readings (1 + J) as its control points."""
+        from scipy.interpolate import BSpline  # imported late: most imports do without
+
+        rows = np.column_stack([self.times, self.values])
+        control = np.concatenate([2 * rows[:1] - rows[1:2], rows, 2 * rows[-1:] - rows[-2:-1]])
+        return BSpline(np.arange(-3.0, len(rows) + 3), control, 3)
 
     def at(self, times: Times, curve: Curve, rate: Float64 | None = None, **gaps: float) -> Float64:
         """Interpolate the readings at times (L,), (L, J), NaN where they are not `known` by some ``gaps``.
@@ -142,20 +154,14 @@ def smooth_spline(series: TimedReadings, times: Times) -> Float64:
     A straight line averages the noise of two readings in its middle, and not at its ends. The spline averages nearly
     the same noise everywhere.
     """
-    from scipy.interpolate import BSpline  # imported late: most imports do without
-
     if len(series.times) < 2:
         return straight_line(series, times)
-    found = []
     place = np.interp(times, series.times, np.arange(float(len(series.times))))
-    for column in series.values.T:
-        rows = np.stack([series.times, column], axis=1)
-        control = np.concatenate([2 * rows[:1] - rows[1:2], rows, 2 * rows[-1:] - rows[-2:-1]])
-        spline = BSpline(np.arange(-3.0, len(rows) + 3), control, 3)
-        (stamps, values), (pace, slopes) = spline(place).T, spline.derivative()(place).T
-        # of unevenly spaced readings, the spline is there at a slightly other time
-        found.append(values + (times - stamps) * slopes / pace)
-    return np.stack(found, axis=1)
+    (stamps, *values), (pace, *slopes) = (series.spline(place, order).T for order in (0, 1))
+    # of unevenly spaced readings, the spline is there at a slightly other time
+    return np.stack(
+        [value + (times - stamps) * slope / pace for value, slope in zip(values, slopes, strict=True)], axis=1
+    )
 
 
 _LEAST_SPACING: Final = 0.03  # s, from which on readings may be too sparse; errors of single ones would count otherwise
