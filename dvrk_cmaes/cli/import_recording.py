@@ -107,8 +107,8 @@ class PoseOptions:
         """Return what poses mean, as of `read_pose_table`; None without --pose-of."""
         if self.pose_of is None:
             if self != PoseOptions():
-                options = "--pose-base, --kinematics and --tool"
-                raise InputError(f"--pose-of: expected tip or wrist-yaw with {options}, got none")
+                others = "--pose-base, --kinematics and --tool"
+                raise InputError(f"--pose-of: expected tip or wrist-yaw with {others}, got none")
             return None
         if self.pose_base is None:
             raise InputError(

@@ -223,7 +223,8 @@ def jaw_end_missing(view: FrameView, at: Posed) -> bool:
     points = apply(seen.pose, hinge + _END * (instrument.tips(seen.joints) - hinge))
     inside = points[~outside_image(points, evidence.camera)]
     u, v = np.rint(evidence.camera.project(inside)).astype(int).T
-    return bool((view.silhouette(at)[v, u] & ~evidence.mask[v, u] & (evidence.weight[v, u] > 0)).any())
+    missing = ~evidence.mask[v, u] & (evidence.weight[v, u] > 0)
+    return bool(missing.any() and (missing & view.silhouette(at)[v, u]).any())
 
 
 def _mirrored_overlap(at: Posed, check: ViewCheck, view: FrameView) -> float:
