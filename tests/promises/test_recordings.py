@@ -306,6 +306,17 @@ def test_doubtful_calibration_makes_all_frames_doubtful(kept: Kept, short: tuple
     assert {row["reasons"][0] for row in found.values()} == {f"session: {doubt}"}
 
 
+def test_same_input_gives_the_same_tracks(kept: Kept, tmp_path: Path) -> None:
+    session = synth(kept, *ONE)
+    calibration = kept("track", session, "--out", OUT).folder / "session.json"
+    words = ("track", session, "--session", calibration, "--causal", "--out")
+    first = tracks(kept(*words, OUT, *PLAIN).folder)
+    run(*words, tmp_path / "again", *PLAIN)
+    for frame, row in tracks(tmp_path / "again").items():
+        del row["seconds"], first[frame]["seconds"]
+        assert row == first[frame]
+
+
 def test_lag_at_the_end_of_those_at_which_frames_have_readings_is_not_taken_out(
     kept: Kept, tmp_path: Path, quick: Path
 ) -> None:

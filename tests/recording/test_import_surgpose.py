@@ -12,16 +12,7 @@ import numpy as np
 import pytest
 from helpers.commands import Ran, run_command
 from helpers.files import write_json
-from helpers.made_surgpose import (
-    ARMS,
-    CAMERA,
-    FRAMES,
-    NUMBERS,
-    MadeArms,
-    calibration_ini,
-    made_arms,
-    write_surgpose,
-)
+from helpers.made_surgpose import ARMS, CAMERA, FRAMES, NUMBERS, MadeArms, calibration_ini, made_arms, write_surgpose
 from helpers.places import bundled_path
 
 from dvrk_cmaes import EstimateConfig, prepare, read_session
@@ -115,11 +106,7 @@ def test_arm_is_asked_for(refused: Callable[..., str], made: Path) -> None:
             "0: {PSM1: [0, 0, 120, 0, 0, 0]}",
             ": frame 0: PSM1: insertion: expected metres, got 120: this looks like millimetres",
         ),
-        (
-            "keypoints_left.yaml",
-            "0: {1: [5]}",
-            ": frame 0: label 1: expected [x, y] in pixels or null, got [5]",
-        ),
+        ("keypoints_left.yaml", "0: {1: [5]}", ": frame 0: label 1: expected [x, y] in pixels or null, got [5]"),
         ("keypoints_left.yaml", "0: {15: [5, 6]}", ": frame 0: expected numbers of labels, 1 to 14, got 15"),
         ("keypoints_left.yaml", "0: {1: [.nan, 6]}", "label 1: expected [x, y] in pixels or null, got [nan, 6]"),
         (
