@@ -18,12 +18,13 @@ from committed_data import fixed_rms_readings, refuse_in_ci
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.ros import write_camera_info
+from dvrk_cmaes.frames.truth import SessionTruth, write_golden
 from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.json_file import write_image, write_text
 from dvrk_cmaes.joints.names import WRIST_JOINTS
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.synth.files import write_golden, write_joints
+from dvrk_cmaes.synth.files import write_joints
 from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.synth.masks import MEDIUM, simulate_segmentation
 from dvrk_cmaes.synth.occluders import tissue_over_jaw
@@ -76,7 +77,8 @@ def main() -> int:
         write_image(out / "images" / f"{name}.jpg", image)
     write_camera_info(out / "camera.yaml", CAMERA, "demo")
     write_joints(out / "joints.csv", dict(zip(names, readings, strict=True)), (*OUTER_JOINTS, *WRIST_JOINTS))
-    write_golden(out / "golden.json", camera_from_base, dict(zip(names, truths, strict=True)))
+    stated = {name: truth.stated for name, truth in zip(names, truths, strict=True)}
+    write_golden(out / "golden.json", SessionTruth(stated, camera_from_base))
     write_text(out / "README.md", README)
     return 0
 

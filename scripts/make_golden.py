@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evaluate import Tolerance
+from dvrk_cmaes.frames.truth import truth_entry
 from dvrk_cmaes.instrument import Instrument, load_instrument
 from dvrk_cmaes.io.json_file import write_image, write_json
-from dvrk_cmaes.synth.files import rounded_joints, rounded_truth
 from dvrk_cmaes.synth.levels import Mistakes
 from dvrk_cmaes.synth.masks import MEDIUM, SLIGHT, simulate_segmentation
 from dvrk_cmaes.synth.occluders import dilate_region, tissue_over_jaw
@@ -172,14 +172,14 @@ def masks_of(case: Case, truth: Truth, rng: np.random.Generator) -> tuple[NDArra
 
 def entry(name: str, case: Case, truth: Truth, rng: np.random.Generator) -> dict[str, Any]:
     """Return the entry of a case in golden.json."""
-    reading = fixed_rms_readings([truth], rng)[0] if case.read else {}
+    reading, stated = fixed_rms_readings([truth], rng)[0] if case.read else {}, truth_entry(truth.stated)
     return {
         "about": case.about,
         "camera": {**asdict(case.camera), "distortion": list(case.camera.distortion)},
         "mask": f"masks/{name}.png",
         "ignore": f"ignore/{name}.png" if case.occluded else None,
-        "readings": rounded_joints(reading),
-        "truth": rounded_truth(truth, "camera_from_root"),
+        "readings": {joint: round(float(value), 6) + 0.0 for joint, value in reading.items()},
+        "truth": {"camera_from_root": stated.pop("T_camera_roll_link"), **stated},
         "tolerance": asdict(case.tolerance),
         "outcome": case.outcome,
         "reason": case.reason or None,

@@ -84,8 +84,8 @@ def write_golden(path: str | Path, truth: SessionTruth) -> None:
     write_json(
         path,
         {
-            "frames": {name: _entry(frame) for name, frame in truth.frames.items()},
             "camera_from_base": None if base is None else rounded_array(base),
+            "frames": {name: truth_entry(frame) for name, frame in truth.frames.items()},
         },
     )
 
@@ -101,7 +101,8 @@ def _read_frame(where: str, document: object) -> FrameTruth:
     return FrameTruth(entry.T_camera_roll_link, entry.joints, tips, entry.visible)
 
 
-def _entry(frame: FrameTruth) -> dict[str, Any]:
+def truth_entry(frame: FrameTruth) -> dict[str, Any]:
+    """Return what golden.json has of a frame."""
     entry = {"T_camera_roll_link": rounded_array(frame.camera_from_root), "joints": rounded_values(frame.joints)}
     if frame.tips is not None:
         entry["tips_camera_m"] = rounded_array(frame.tips)

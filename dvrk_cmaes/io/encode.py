@@ -54,8 +54,8 @@ class Document:
 
 
 def rounded(value: float) -> float:
-    """Round to nine decimals: a nanometre or a nanoradian."""
-    return round(float(value), 9)
+    """Round to nine decimals, a nanometre or a nanoradian, with 0.0 for -0.0."""
+    return round(float(value), 9) + 0.0
 
 
 def rounded_values(values: Mapping[str, float]) -> dict[str, float]:
@@ -65,7 +65,7 @@ def rounded_values(values: Mapping[str, float]) -> dict[str, float]:
 
 def rounded_array(array: Float64) -> Any:
     """Round an array as `rounded` does, to nested lists."""
-    return np.round(np.asarray(array, dtype=np.float64), 9).tolist()
+    return (np.round(np.asarray(array, dtype=np.float64), 9) + 0.0).tolist()
 
 
 def rounded_matrix(matrix: Float64) -> list[list[float]]:

@@ -12,15 +12,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.frames.truth import truth_entry
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.csv_file import csv_text
+from dvrk_cmaes.io.encode import rounded_array
 from dvrk_cmaes.io.json_file import encoded_image, write_image, write_json, write_text
 from dvrk_cmaes.io.output import whole_folder
 from dvrk_cmaes.io.video_writer import whole_video
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.synth.cable_motion import draw_cables
-from dvrk_cmaes.synth.files import rounded, rounded_truth
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.moving_arm import (
     FRAMES_A_SECOND,
@@ -182,12 +183,12 @@ def write_recorded_arm(
         name = frame_name(plan, k)
         cells = [f"{arm.readings[joint][k]:.6f}" for joint in columns]
         rows.append([name, f"{k / FRAMES_A_SECOND:.6f}", *cells])
-        golden[name] = rounded_truth(truth) | {"visible": round(share, 3)}
+        golden[name] = truth_entry(truth.stated) | {"visible": round(share, 3)}
     write_text(folder / f"joints{suffix}.csv", csv_text(("frame", "time", *columns), rows))
-    document: dict[str, Any] = {"camera_from_base": rounded(arm.base), "frames": golden}
+    document: dict[str, Any] = {"camera_from_base": rounded_array(arm.base), "frames": golden}
     if arm.steering is not None:
         for own, base in zip(golden.values(), arm.steering.camera_from_first @ arm.base, strict=True):
-            own["camera_from_base"] = rounded(base)
+            own["camera_from_base"] = rounded_array(base)
         document["endoscope"] = arm.steering.describe(arm.base)
     write_json(folder / f"golden{suffix}.json", document)
 

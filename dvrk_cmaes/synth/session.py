@@ -21,6 +21,7 @@ from dvrk_cmaes.config import __version__
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.markers import Marker, place_markers
 from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, session_toml
+from dvrk_cmaes.frames.truth import SessionTruth, write_golden
 from dvrk_cmaes.geometry import Bool, Float64, transform
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.io.csv_file import csv_text
@@ -28,7 +29,7 @@ from dvrk_cmaes.io.encode import encoded_fields
 from dvrk_cmaes.io.json_file import write_image, write_json, write_text
 from dvrk_cmaes.io.output import whole_folder
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.synth.files import write_golden, write_joints
+from dvrk_cmaes.synth.files import write_joints
 from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.synth.levels import LEVELS, Level
 from dvrk_cmaes.synth.masks import simulate_segmentation
@@ -203,7 +204,7 @@ def write_session(out: Path, plan: SessionPlan, *, images: bool = True, overwrit
             pixels = ["", "", "", ""] if frame.tips is None else [f"{value:.2f}" for value in frame.tips.ravel()]
             tips.append([frame.name, *pixels])
             markers += [[frame.name, name, f"{u:.2f}", f"{v:.2f}"] for name, (u, v) in frame.markers.items()]
-            golden[frame.name] = frame.truth
+            golden[frame.name] = frame.truth.stated
         write_cameras(folder, plan, plan.tools)
         columns = [*(OUTER_JOINTS if camera_from_base is not None else ()), *plan.body.instrument.joint_names]
         write_joints(folder / "joints.csv", readings, columns)
@@ -211,7 +212,7 @@ def write_session(out: Path, plan: SessionPlan, *, images: bool = True, overwrit
             write_text(folder / "keypoints.csv", csv_text(("frame", "tip_1_u", "tip_1_v", "tip_2_u", "tip_2_v"), tips))
         if plan.markers:
             write_text(folder / "markers.csv", csv_text(("frame", "marker", "u", "v"), markers))
-        write_golden(folder / "golden.json", camera_from_base, golden)
+        write_golden(folder / "golden.json", SessionTruth(golden, camera_from_base))
         write_json(folder / PLAN_FILE, plan.describe())
 
 

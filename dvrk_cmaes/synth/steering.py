@@ -9,8 +9,8 @@ import numpy as np
 
 from dvrk_cmaes.geometry import Float64, exp_rotation, inverse, log_rotation, rotation_about_z, transform
 from dvrk_cmaes.instrument.endoscope import STRAIGHT, ecm_from_tip_and_jacobian
+from dvrk_cmaes.io.encode import rounded_array, rounded_values
 from dvrk_cmaes.joints.names import ECM_JOINTS
-from dvrk_cmaes.synth.files import rounded, rounded_joints
 
 MOVES: Final = 3
 _TILTS: Final = np.deg2rad([0.0, 30.0, -30.0])  # of the camera: a straight endoscope, and one that looks up or down
@@ -84,9 +84,9 @@ class Steering:
     def describe(self, camera_from_base: Float64) -> dict[str, Any]:
         """Return the truth as plain values for JSON, given ``camera_from_base`` (4, 4), m, of the first frame."""
         return {
-            "tip_from_camera": rounded(self.tip_from_camera),
-            "ecm_from_base": rounded(inverse(self.camera_from_ecm[0]) @ camera_from_base),
-            "offsets": rounded_joints(dict(zip(ECM_JOINTS, self.offsets, strict=True)), digits=9),
+            "tip_from_camera": rounded_array(self.tip_from_camera),
+            "ecm_from_base": rounded_array(inverse(self.camera_from_ecm[0]) @ camera_from_base),
+            "offsets": rounded_values(dict(zip(ECM_JOINTS, self.offsets, strict=True))),
         }
 
 

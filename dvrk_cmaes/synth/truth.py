@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.frames.truth import FrameTruth
 from dvrk_cmaes.geometry import Float64, apply, rotation_about_z, transform
 from dvrk_cmaes.instrument import Instrument
 
@@ -34,6 +35,11 @@ class Truth:
     def tips(self) -> Float64:
         """Jaw tips in the camera's frame, (2, 3) m; (0, 3) without jaws."""
         return self._in_camera(self.instrument.tips(self.values))
+
+    @property
+    def stated(self) -> FrameTruth:
+        """What a session's golden.json states."""
+        return FrameTruth(self.camera_from_root, {**self.joints, **self.outer}, self.tips)
 
     @property
     def wrist(self) -> Float64:

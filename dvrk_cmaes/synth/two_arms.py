@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.frames.session_toml import ToolEntry
+from dvrk_cmaes.frames.truth import SessionTruth, write_golden
 from dvrk_cmaes.geometry import Bool, Float32, Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.json_file import write_image, write_json
 from dvrk_cmaes.io.output import whole_folder
-from dvrk_cmaes.synth.files import write_golden, write_joints
+from dvrk_cmaes.synth.files import write_joints
 from dvrk_cmaes.synth.masks import simulate_segmentation
 from dvrk_cmaes.synth.occluders import outside_lens_circle
 from dvrk_cmaes.synth.readings import sample_readings
@@ -79,7 +80,8 @@ def write_two_arms(out: Path, plan: SessionPlan, tool: ToolEntry, *, overwrite: 
             readings = sample_readings(truths, rng, plan.level, one_session=True)
             columns = [*OUTER_JOINTS, *plan.body.instrument.joint_names]
             write_joints(folder / f"joints_{arm}.csv", dict(zip(names, readings, strict=True)), columns)
-            write_golden(folder / f"golden_{arm}.json", base, dict(zip(names, truths, strict=True)))
+            stated = {name: truth.stated for name, truth in zip(names, truths, strict=True)}
+            write_golden(folder / f"golden_{arm}.json", SessionTruth(stated, base))
         write_cameras(folder, plan, tools_of_arms(tool))
         write_json(folder / PLAN_FILE, {**plan.describe(), "arms": list(ARMS)})
 
