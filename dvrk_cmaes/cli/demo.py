@@ -53,7 +53,7 @@ def demo(
     session, body = read_session(bundled_path("demo")), prepare("lnd")
     solved_as = FrameMethod("classic", method.resolve())
     results = (
-        run_frame(files, read_frame(files, session.camera), body, solved_as, out, command="demo")[0]
+        run_frame(read_frame(files, session.camera), body, solved_as, out, command="demo")[0]
         for files in tracked(session.frames, "Estimating")
     )
     golden = session.truth.frames

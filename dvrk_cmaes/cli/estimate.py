@@ -225,7 +225,6 @@ def estimate(
     from dvrk_cmaes.frames.frame import read_frame
     from dvrk_cmaes.results.folder import mask_path, overlay_path, result_path
     from dvrk_cmaes.runs.frame import run_frame
-    from dvrk_cmaes.segment.segmentation import hints_within
 
     settings = method.resolve()
     files = given.files(camera)
@@ -242,11 +241,10 @@ def estimate(
     known = calibrated.read(body, instrument.arm)
     lag = None if known is None else known.applied_lag
     readings, notes, _ = given.readings(body.instrument.joint_names, lag)
-    files = replace(files, readings=readings)
-    data = replace(data, notes=(*camera_file.notes, *notes, *data.notes))
-    shown = hints_within(segment.hints(), files.crop)
-    solved_as = FrameMethod(instrument.kinematics, settings, known, segment.resolve(), shown)
-    result, written = run_frame(files, data, body, solved_as, out)
+    files = replace(files, readings=readings, prompts=segment.hints())
+    data = replace(data, files=files, notes=(*camera_file.notes, *notes, *data.notes))
+    solved_as = FrameMethod(instrument.kinematics, settings, known, segment.resolve())
+    result, written = run_frame(data, body, solved_as, out)
     for text in dict.fromkeys((*result.remarks, *result.warnings)):
         warn(text)
     answer(result.to_dict(), _lines(result, written), json=json)

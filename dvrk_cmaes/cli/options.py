@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, dataclass_transform
 
@@ -133,11 +132,10 @@ class FrameCameraOptions(CameraOptions):
         """Read the camera of a frame, or those of both eyes; the frame has the size where no file states it."""
         from dvrk_cmaes.camera.files import read_camera_file
         from dvrk_cmaes.camera.rig_files import read_rig
-        from dvrk_cmaes.frames.frame import frame_size
         from dvrk_cmaes.frames.picture_fit import fitted
 
         assert self.camera is not None
-        read_as: dict[str, Any] = {"rectified": self.rectified, "size": partial(frame_size, frame)}
+        read_as: dict[str, Any] = {"rectified": self.rectified, "size": lambda: frame.size}
         if frame.others:
             lens = read_rig(self.camera, self.camera_right, **read_as)
         else:

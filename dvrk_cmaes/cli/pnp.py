@@ -109,7 +109,7 @@ def _by_tips(arm: ArmInSession) -> Iterator[Result]:
 
     for files in arm.session.frames:
         data = read_frame(files, arm.session.camera)
-        yield pose_from_tips(files, data, arm.body.instrument, arm=arm.method.arm)
+        yield pose_from_tips(data, arm.body.instrument, arm=arm.method.arm)
 
 
 def _lines(results: list[Result], out: Path) -> Iterator[Line]:

@@ -123,21 +123,18 @@ class TrackOptions:
     def arm(self, name: str, arm: ArmInSession, target: Path, place: PromptOptions, by: Workers) -> TrackedArm:
         """Say how an arm of a recording is followed; ``place`` is where it is in the first image."""
         from dvrk_cmaes.joints.lag import Lag
-        from dvrk_cmaes.runs.frame import hints_of
         from dvrk_cmaes.runs.track import TrackedArm, TrackSettings
         from dvrk_cmaes.runs.track_inputs import used_session, with_increasing_times
-        from dvrk_cmaes.segment.segmentation import Hints, hints_within
 
         timed, doubled = with_increasing_times(arm.session)
         if doubled:
             warn(f"left out, for they have the time of the frame before: {listed(doubled)}")
         used, evidence = used_session(timed, self.evidence)
-        first, prompted = used.frames[0], place != PromptOptions()
-        hints = hints_within(place.hints(), first.crop) if prompted else hints_of(first) or Hints()
-        method = replace(arm.method, hints=hints)
-        if self.first_mask is not None:
-            used = replace(used, frames=(replace(first, mask=self.first_mask), *used.frames[1:]))
-        rate = method.config.track.frames_a_second
+        first = used.frames[0]
+        first = first if place == PromptOptions() else replace(first, prompts=place.hints())
+        first = first if self.first_mask is None else replace(first, mask=self.first_mask)
+        arm = replace(arm, session=replace(used, frames=(first, *used.frames[1:])))
+        rate = arm.method.config.track.frames_a_second
         same = ("every", "causal", "video", "page", "rerun")
         settings = TrackSettings(
             lag=None if self.lag == AUTO else Lag.parse("--lag", self.lag).in_seconds(rate),
@@ -145,7 +142,7 @@ class TrackOptions:
             **{field: getattr(self, field) for field in same},
         )
         by = by if not name else replace(by, notice=lambda text: note(f"{name}: {text}"))
-        return TrackedArm(replace(arm, session=used, method=method), target / name, settings, by)
+        return TrackedArm(arm, target / name, settings, by)
 
 
 def track(

@@ -12,10 +12,10 @@ import numpy as np
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.estimation.one_tool import FrameMethod, estimate_views
 from dvrk_cmaes.frames.field_of_view import IGNORED, outside_view
-from dvrk_cmaes.frames.frame import FrameData, FrameFiles, image_path
+from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import SeenView, overlap_of
-from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.pose.doubts import mask_is_a_guess
+from dvrk_cmaes.pose.views import silhouette_of
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.segment import Segmentation, segment
@@ -23,7 +23,7 @@ from dvrk_cmaes.segment.around import segmentation_around
 from dvrk_cmaes.segment.prompts import draw_prompts
 from dvrk_cmaes.segment.segmentation import GUESS, Hints, SegmentSettings
 from dvrk_cmaes.segment.shaft_pairs import prompts_in
-from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes.silhouette import Body
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
@@ -31,15 +31,6 @@ if TYPE_CHECKING:
 
 _ITERATIONS = 2  # segmentations after the first
 _LEAST_OVERLAP = 0.8  # intersection over union of silhouette and mask, below which the silhouette is no prior
-
-
-@dataclass(frozen=True, eq=False)
-class SegmentedFrame:
-    """A frame whose masks were found in its images, how that of its first view was found, and the pose estimate."""
-
-    data: FrameData
-    segmentation: Segmentation
-    result: Result
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +46,10 @@ class _FoundMask:
     result: Result | None
 
 
-def segment_and_estimate(data: FrameData, files: FrameFiles, body: Body, method: FrameMethod) -> SegmentedFrame:
+def segment_and_estimate(data: FrameData, body: Body, method: FrameMethod) -> tuple[FrameData, Segmentation, Result]:
     """Find the instrument's masks in the images of a frame's views, and its pose from these masks.
+
+    Returns the frame with these masks, how that of its first view was found, and the result.
 
     Each image is segmented; with the classic model, the pose is estimated and the image segmented again with the pose's
     silhouette as prior, two times, unless silhouette and mask hardly overlap. A mask by a smooth background, or of a
@@ -64,13 +57,13 @@ def segment_and_estimate(data: FrameData, files: FrameFiles, body: Body, method:
 
     Parameters
     ----------
-    data, files
-        The frame, whose first view has an image; its name, time, readings and paths.
+    data
+        The frame, whose first view has an image. Its prompts hold in that view; in further views the instrument that
+        they choose, or the one that is taken of several, is looked for.
     body
         As in `estimate`.
     method
-        How the frame is solved. Its prompts hold in the first view; in further views the instrument that they choose,
-        or the one that is taken of several, is looked for.
+        How the frame is solved.
 
     Raises
     ------
@@ -79,7 +72,7 @@ def segment_and_estimate(data: FrameData, files: FrameFiles, body: Body, method:
     DvrkCmaesError
         Nothing was found that could be the instrument; names the image's file.
     """
-    settings, session = method.segment or SegmentSettings(), method.session
+    settings, session, files = method.segment or SegmentSettings(), method.session, data.files
     started = perf_counter()
 
     def solve(views: Sequence[SeenView], session: SessionCalibration | None = None) -> Result:
@@ -88,15 +81,15 @@ def segment_and_estimate(data: FrameData, files: FrameFiles, body: Body, method:
 
     found: list[_FoundMask] = []
     for view in data.views:
-        own = method.hints or Hints()
+        own = files.hints
         if found:
             own = prompts_in(view, found[0].view, own, body, several=bool(found[0].segmentation.others))
         try:
             found.append(_find_mask(view, body, files.readings, solve, settings, own, method.config.threads))
         except DvrkCmaesError as error:
-            raise type(error)(f"{image_path(files.others.get(view.name, files))}: {error}") from None
+            raise type(error)(f"{files.others.get(view.name, files).picture}: {error}") from None
     first, alone = found[0], len(found) == 1
-    data = FrameData(tuple(each.view for each in found), (*data.notes, *first.notes))
+    data = replace(data, views=tuple(each.view for each in found), notes=(*data.notes, *first.notes))
     seconds = perf_counter() - started
     result = first.result if alone and first.view.keypoints is None and session is None else None
     if result is None:
@@ -105,7 +98,7 @@ def segment_and_estimate(data: FrameData, files: FrameFiles, body: Body, method:
     result = replace(result, warnings=(*data.notes, *result.warnings), seconds=seconds)
     if alone and (guess := mask_is_a_guess(first.segmentation.confidence, GUESS)):
         result = replace(result, status="doubtful", reasons=(*result.reasons, guess))
-    return SegmentedFrame(data, first.segmentation, result)
+    return data, first.segmentation, result
 
 
 def _find_mask(
@@ -143,8 +136,11 @@ def _find_mask(
     result, odds = None, found.odds
     counts, prompts = np.True_ if view.ignore is None else ~view.ignore, draw_prompts(image, hints)
     for _ in range(_ITERATIONS if settings.model == "classic" and found.before != "smooth background" else 0):
-        result = solve([replace(view, view_from_camera=np.eye(4), keypoints=None)])
-        silhouette = _silhouette(result, view, body)
+        alone = replace(view, view_from_camera=np.eye(4), keypoints=None)
+        result = solve([alone])
+        if result.camera_from_root is None:
+            break
+        silhouette = silhouette_of(posed(result, body.instrument.joint_names), alone, body)
         if overlap_of(silhouette & counts, view.mask & counts) < _LEAST_OVERLAP:
             break
         again = segmentation_around(image, silhouette, prompts, colours=odds, local=odds is None)
@@ -158,11 +154,3 @@ def _find_mask(
     how = f"mask found in the image {means}, confidence {found.confidence:.2f}"
     found = replace(found, mask=view.mask, notes=(how, *found.notes))
     return _FoundMask(view, found, (*notes, *found.notes), result)
-
-
-def _silhouette(result: Result, view: SeenView, body: Body) -> Bool:
-    """Return the silhouette (H, W) of a result's pose in a view, in whose camera it is; empty where it has none."""
-    if result.camera_from_root is None:
-        return np.zeros((view.camera.height, view.camera.width), np.bool_)
-    at = posed(result, body.instrument.joint_names)
-    return np.asarray(Renderer(body, view.camera, threads=1).masks(at.pose[None], at.joints[None])[0])

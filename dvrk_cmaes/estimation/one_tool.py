@@ -35,7 +35,7 @@ from dvrk_cmaes.silhouette.threads import single_blas_thread
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
-    from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
+    from dvrk_cmaes.segment.segmentation import SegmentSettings
 
 _ROUGH_PX = 1.5  # of the contour at wrist and jaws (rms, at 640 px of width), from which held things are sought
 
@@ -44,14 +44,13 @@ _ROUGH_PX = 1.5  # of the contour at wrist and jaws (rms, at 640 px of width), f
 class FrameMethod:
     """How a frame is solved: the kinematics of its arm, the settings, and the calibration of its session.
 
-    ``segment`` and ``hints`` are the model and the prompts by which masks are found in images of frames without.
+    ``segment`` is the model by which masks are found in images of frames without.
     """
 
     arm: Arm
     config: EstimateConfig
     session: SessionCalibration | None = None
     segment: SegmentSettings | None = None
-    hints: Hints | None = None
 
 
 def estimate(

@@ -1,7 +1,8 @@
 """The files of one frame and their content: mask, readings and, where there are any, image and ignored pixels.
 
-`FrameFiles` has the paths, `FrameData` the content. `read_frame` reads a frame by its masks, or by its images alone,
-and checks that the sizes of the files fit each other and the camera.
+`FrameFiles` says where the parts of a frame are, and reads each when it is asked for; `FrameData` has them in memory.
+`read_frame` reads a frame by its masks, or by its images alone, and checks that the sizes of the files fit each other
+and the camera.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from dvrk_cmaes.frames.field_of_view import IGNORED, outside_view
 from dvrk_cmaes.frames.images import match_size, read_ignore, read_image, read_mask
 from dvrk_cmaes.frames.keypoints import Hints
 from dvrk_cmaes.frames.label import Label
-from dvrk_cmaes.frames.seen_view import Mask, SeenView, seen_by, seen_views
+from dvrk_cmaes.frames.seen_view import Mask, SeenView, seen_views
 from dvrk_cmaes.frames.video_frames import VideoFrame, Window, check_crop, part_of
 from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.io.arguments import check_type
@@ -105,17 +106,110 @@ class FrameFiles:
         others = {name: replace(other, **changes) for name, other in self.others.items()}
         return replace(self, **changes, others=others)
 
+    @property
+    def hints(self) -> Hints:
+        """The prompts in pixels of the part of the pictures that is used; none where there are none."""
+        given = self.prompts or Hints()
+        if self.crop is None:
+            return given
+        left, top, *_ = self.crop
+        box = given.box and (given.box[0] - left, given.box[1] - top, given.box[2] - left, given.box[3] - top)
+        points, not_points = ([(u - left, v - top) for u, v in each] for each in (given.points, given.not_points))
+        return Hints(box, points, not_points)
+
+    @property
+    def picture(self) -> Path | None:
+        """The file that the image is in: an image, or a video; None without one."""
+        return self.video.video.path if self.image is None and self.video is not None else self.image
+
+    def read_mask(self, *, blank: bool = False) -> Bool | None:
+        """Read the mask (H, W) of this view; None if it has none.
+
+        Parameters
+        ----------
+        blank
+            Whether it may be empty or full.
+        """
+        if self.mask is None:
+            return None
+        mask = read_mask(self.mask, label=self.label, pick=self.pick, blank=blank, name=self.name)
+        return self._part(mask, self.mask)
+
+    def read_image(self) -> NDArray[np.uint8] | None:
+        """Read the image (H, W, 3), BGR, of this view; None if it has none."""
+        if self.image is None:
+            return None if self.video is None else self._part(self.video.image(), self.video.video.path)
+        return self._part(read_image(self.image), self.image)
+
+    def _part(self, pixels: NDArray[Any], path: Path) -> NDArray[Any]:
+        """Return the part of a picture (H, W, ...) that is used; InputError if that is not inside."""
+        if self.crop is None:
+            return pixels
+        check_crop(path, self.crop, (pixels.shape[1], pixels.shape[0]))
+        return part_of(pixels, self.crop)
+
+    def read_ignored(self, shape: tuple[int, ...], what: str = "mask") -> Bool | None:
+        """Read the pixels (H, W) of this view that count neither way; None if there are none.
+
+        Parameters
+        ----------
+        shape
+            Height and width that they must have, px.
+        what
+            What has this size, for messages.
+        """
+        ignore = None if self.ignore is None else self._part(read_ignore(self.ignore), self.ignore)
+        if ignore is not None and ignore.shape != shape[:2]:
+            raise InputError(
+                f"{self.ignore}: expected the {what}'s size {_size(shape)}, got {_size(ignore.shape)} (width x height)"
+            )
+        if self.overlaid is not None:
+            over = np.asarray(cv2.imdecode(np.frombuffer(self.overlaid, np.uint8), 0)) > 0
+            over = resized(over if self.crop is None else part_of(over, self.crop), (shape[1], shape[0]))
+            ignore = over if ignore is None else ignore | over
+        for tool in self.other_tools:
+            there = replace(tool, crop=self.crop).read_mask(blank=True)
+            assert there is not None
+            if there.shape != shape[:2]:
+                raise InputError(f"{tool.mask}: expected the {what}'s size {_size(shape)}, got {_size(there.shape)}")
+            ignore = with_tool(ignore, there)
+        return ignore
+
+    @property
+    def size(self) -> Size:
+        """Width and height in pixels of the mask, or else the image, or of their part that is used.
+
+        It is that of the file's header. InputError if there is no such file, or no PNG or JPEG.
+        """
+        if self.crop is not None:
+            return self.crop[2:]
+        path = self.mask or self.image
+        if path is None and self.video is not None:
+            return self.video.window[2:]
+        if path is None:
+            raise InputError(f"frame {self.name}: expected a mask or an image, got neither")
+        if path.suffix.lower() == ".json":
+            height, width = read_mask(path, blank=True, name=self.name).shape
+            return width, height
+        expected = "a mask or an image (PNG or JPEG)"
+        header = read_header(read_bytes(path, expected=expected, largest=_LARGEST))
+        if header is None:
+            raise InputError(f"{path}: expected {expected}, got something else or a damaged file")
+        return header.width, header.height
+
 
 @dataclass(frozen=True, eq=False)
 class FrameData:
     """A frame in memory: its views, the reference first, and notes.
 
     The views' cameras have the sizes of their masks. ``notes`` say what was done to make the parts fit, e.g. that the
-    intrinsics were rescaled. ``mask``, ``camera``, ``ignore`` and ``image`` are those of the reference view.
+    intrinsics were rescaled. ``mask``, ``camera``, ``ignore`` and ``image`` are those of the reference view. ``files``
+    has its name, time and readings, and says where its views were read.
     """
 
     views: tuple[SeenView, ...]
     notes: tuple[str, ...] = ()
+    files: FrameFiles = FrameFiles("", None)
 
     @staticmethod
     def of(
@@ -168,8 +262,8 @@ def read_frame(files: FrameFiles, camera: Camera | Rig, *, blank: bool = False) 
     """Read a frame taken by a camera or a rig; the intrinsics are rescaled if a mask or an image is of another size.
 
     A frame without a mask is read with its images alone, in which masks are to be found: its views have none yet. With
-    ``blank``, the mask may be empty or full. Of a rig, some masks may be missing or empty, but not all; of images, only
-    the reference view must have one.
+    ``blank``, the mask may be empty or full. Of a rig, some masks may be missing or empty, but without ``blank`` not
+    all; of images, only the reference view must have one.
 
     Parameters
     ----------
@@ -196,12 +290,12 @@ def read_frame(files: FrameFiles, camera: Camera | Rig, *, blank: bool = False) 
         raise InputError(f"frame {files.name}: expected {expected}, or {got}, got neither")
     read = [_read_view(of_views[view.name], view, masked=bool(masks), blank=blank or several) for view in rig.views]
     views = tuple(view for view, _ in read)
-    if masks and several and not any(view.mask.any() for view in views):
+    if masks and several and not blank and not any(view.mask.any() for view in views):
         paths = ", ".join(map(str, masks))
         raise InputError(f"{paths}: mask is empty: expected the instrument in at least one view, got none")
     main = read[0][1]
     others = (f"view {view.name}: {note}" for view, notes in read[1:] for note in notes if note not in main)
-    return FrameData(views, (*main, *others))
+    return FrameData(views, (*main, *others), files)
 
 
 def _read_view(files: FrameFiles, view: View, *, masked: bool, blank: bool) -> tuple[SeenView, tuple[str, ...]]:
@@ -209,44 +303,26 @@ def _read_view(files: FrameFiles, view: View, *, masked: bool, blank: bool) -> t
 
     A view without a mask, or without an image where that is read alone, is empty.
     """
-    mask = mask_of(files, files.mask, blank=blank) if masked and files.mask is not None else None
-    image = None if masked and mask is None else image_of(files)
+    mask = files.read_mask(blank=blank) if masked else None
+    image = None if masked and mask is None else files.read_image()
     seen = image if mask is None else mask
     if seen is None:
-        return replace(seen_by(view, None), given=masked), files.notes
-    what, path = ("image", image_path(files)) if mask is None else ("mask", files.mask)
+        return replace(SeenView.of(view, None), given=masked), files.notes
+    what, path = ("image", files.picture) if mask is None else ("mask", files.mask)
     fitted, note = match_size(view.camera, seen.shape[:2], what, f"{path}: ")
     notes = () if note is None else (note,)
     view = replace(view, camera=fitted)
-    ignore, tips = _ignored(files, seen.shape, what), files.keypoints
+    ignore, tips = files.read_ignored(seen.shape, what), files.keypoints
     tips = tips if tips is None or files.crop is None else tips - files.crop[:2]
-    found = seen_by(view, mask, ignore=ignore, image=image, keypoints=tips)
+    found = SeenView.of(view, mask, ignore=ignore, image=image, keypoints=tips)
     if mask is not None and image is not None:
         if abs(image.shape[1] * mask.shape[0] / (image.shape[0] * mask.shape[1]) - 1) > 0.005:
             expected = f"the mask's size {_size(mask.shape)}, or one of that aspect"
-            raise InputError(f"{image_path(files)}: expected {expected}, got {_size(image.shape)}")
+            raise InputError(f"{files.picture}: expected {expected}, got {_size(image.shape)}")
         border = outside_view(image)
         if border.any():
             found, notes = found.without(resized(border, mask.shape[::-1])), (*notes, IGNORED)
     return found, (*files.notes, *notes)
-
-
-def image_path(files: FrameFiles) -> Path | None:
-    """Return the file that a frame's image is in."""
-    return files.video.video.path if files.image is None and files.video is not None else files.image
-
-
-def mask_of(files: FrameFiles, path: Path, *, blank: bool = False) -> Bool:
-    """Read the mask (H, W) of a view of a frame from its file."""
-    mask = read_mask(path, label=files.label, pick=files.pick, blank=blank, name=files.name)
-    return _cropped(files, mask, path)
-
-
-def image_of(files: FrameFiles) -> NDArray[np.uint8] | None:
-    """Read the image (H, W, 3), BGR, of a view of a frame; None if it has none."""
-    if files.image is None:
-        return None if files.video is None else _cropped(files, files.video.image(), files.video.video.path)
-    return _cropped(files, read_image(files.image), files.image)
 
 
 def readable(read: Callable[[], T]) -> T | None:
@@ -257,14 +333,6 @@ def readable(read: Callable[[], T]) -> T | None:
         return None
 
 
-def _cropped(files: FrameFiles, pixels: NDArray[Any], path: Path) -> NDArray[Any]:
-    """Return the part of a picture (H, W, ...) that is used; InputError if that is not inside."""
-    if files.crop is None:
-        return pixels
-    check_crop(path, files.crop, (pixels.shape[1], pixels.shape[0]))
-    return part_of(pixels, files.crop)
-
-
 def resized(pixels: Bool, size: tuple[int, int]) -> Bool:
     """Return pixels (H, W) in another size, width and height: each as the nearest one is."""
     if pixels.shape == size[::-1]:
@@ -272,57 +340,10 @@ def resized(pixels: Bool, size: tuple[int, int]) -> Bool:
     return np.asarray(cv2.resize(pixels.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0)
 
 
-def _ignored(files: FrameFiles, shape: tuple[int, ...], what: str) -> Bool | None:
-    """Read the pixels that count neither way."""
-    ignore = None if files.ignore is None else _cropped(files, read_ignore(files.ignore), files.ignore)
-    if ignore is not None and ignore.shape != shape[:2]:
-        raise InputError(
-            f"{files.ignore}: expected the {what}'s size {_size(shape)}, got {_size(ignore.shape)} (width x height)"
-        )
-    if files.overlaid is not None:
-        over = np.asarray(cv2.imdecode(np.frombuffer(files.overlaid, np.uint8), 0)) > 0
-        over = resized(over if files.crop is None else part_of(over, files.crop), (shape[1], shape[0]))
-        ignore = over if ignore is None else ignore | over
-    for tool in files.other_tools:
-        assert tool.mask is not None
-        there = mask_of(replace(tool, crop=files.crop), tool.mask, blank=True)
-        if there.shape != shape[:2]:
-            raise InputError(f"{tool.mask}: expected the {what}'s size {_size(shape)}, got {_size(there.shape)}")
-        ignore = with_tool(ignore, there)
-    return ignore
-
-
 def with_tool(ignore: Bool | None, tool: Bool) -> Bool:
     """Add the pixels (H, W) of another tool, and those close beside it, to pixels that count neither way."""
     near = cv2.dilate(tool.astype(np.uint8), np.ones((3, 3), np.uint8), iterations=_NEAR).astype(np.bool_)
     return near if ignore is None else ignore | near
-
-
-def frame_size(files: FrameFiles) -> Size:
-    """Width and height in pixels of a frame's mask, or else its image, or of its part that is used.
-
-    It is that of the file's header.
-
-    Raises
-    ------
-    InputError
-        No such file, or no PNG or JPEG.
-    """
-    if files.crop is not None:
-        return files.crop[2:]
-    path = files.mask or files.image
-    if path is None and files.video is not None:
-        return files.video.window[2:]
-    if path is None:
-        raise InputError(f"frame {files.name}: expected a mask or an image, got neither")
-    if path.suffix.lower() == ".json":
-        height, width = read_mask(path, blank=True, name=files.name).shape
-        return width, height
-    expected = "a mask or an image (PNG or JPEG)"
-    header = read_header(read_bytes(path, expected=expected, largest=_LARGEST))
-    if header is None:
-        raise InputError(f"{path}: expected {expected}, got something else or a damaged file")
-    return header.width, header.height
 
 
 def _size(shape: tuple[int, ...]) -> str:

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from dvrk_cmaes.frames.field_of_view import outside_view
-from dvrk_cmaes.frames.frame import FrameFiles, image_of, mask_of, readable, resized
+from dvrk_cmaes.frames.frame import FrameFiles, readable, resized
 from dvrk_cmaes.frames.session_folder import OVERLAID, Session
 from dvrk_cmaes.geometry import Bool, Float32, Image
 
@@ -148,7 +148,7 @@ def _learned(frames: Sequence[FrameFiles]) -> Bool | None:
     if len(usable) < _FEWEST:
         return None
     chosen = [usable[int(k)] for k in np.unique(np.linspace(0, len(usable) - 1, _MOST).round())]
-    images = [image for files in chosen if (image := readable(partial(image_of, files))) is not None]
-    masked = [(files, files.mask) for files in chosen if files.mask is not None]
-    read = [partial(mask_of, files, mask, blank=True) for files, mask in masked[:: max(1, len(masked) // _FEWEST)]]
-    return overlaid(images, [mask for each in read if (mask := readable(each)) is not None])
+    images = [image for files in chosen if (image := readable(files.read_image)) is not None]
+    masked = [partial(files.read_mask, blank=True) for files in chosen if files.mask is not None]
+    masks = (readable(each) for each in masked[:: max(1, len(masked) // _FEWEST)])
+    return overlaid(images, [mask for mask in masks if mask is not None])

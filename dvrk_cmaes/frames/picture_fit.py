@@ -8,7 +8,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.fields import Size
 from dvrk_cmaes.camera.files import CameraFile
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.frame import FrameFiles, frame_size
+from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.video_frames import Window
 from dvrk_cmaes.io.short_text import shown
 
@@ -36,7 +36,7 @@ def fitted(lens: CameraFile, frame: FrameFiles, *, stretch: bool = False) -> Cam
     """
     if frame.crop is None and not stretch:
         return lens
-    whole, part = frame_size(replace(frame, crop=None)), frame_size(frame)
+    whole, part = replace(frame, crop=None).size, frame.size
     notes: list[str] = []
     cameras = {view.name: _camera(view.camera, frame.crop, whole, part, notes, stretch) for view in lens.rig.views}
     return replace(lens, rig=lens.rig.with_cameras(cameras), notes=(*lens.notes, *dict.fromkeys(notes)))

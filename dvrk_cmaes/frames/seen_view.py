@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dvrk_cmaes.camera import Camera, Rig, View
 from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.geometry import Bool, Float64
+from dvrk_cmaes.geometry import Bool, Float64, Image
 from dvrk_cmaes.io.arguments import checked_array, checked_mask
 
 
@@ -60,9 +60,26 @@ class SeenView(View):
 
     mask: Bool
     ignore: Bool | None = None
-    image: NDArray[np.uint8] | None = None
+    image: Image | None = None
     keypoints: Float64 | None = None
     given: bool = True
+
+    @classmethod
+    def of(
+        cls, view: View, mask: object, *, ignore: object = None, image: Image | None = None, keypoints: object = None
+    ) -> Self:
+        """Return a view with what its camera saw, converted to arrays; its mask is empty if None is given.
+
+        Raises
+        ------
+        InputError
+            A path, text or list that is no array of numbers, or a mask or ignored pixels that are not (H, W).
+        """
+        shape = view.camera.height, view.camera.width
+        seen = np.zeros(shape, np.bool_) if mask is None else checked_mask("mask", mask)
+        ignored = None if ignore is None else checked_mask("ignore", ignore)
+        tips = None if keypoints is None else checked_array("keypoints", keypoints, np.float64, "two pixels, (2, 2)")
+        return cls(view.name, view.camera, view.view_from_camera, seen, ignored, image, tips, mask is not None)
 
     @property
     def shows(self) -> bool:
@@ -96,30 +113,8 @@ def seen_views(
         kind = "an array (H, W) of bool" if isinstance(camera, Camera) else f"one of a view ({', '.join(rig.names)})"
         raise InputError(f"mask: expected {kind}, got none (of a file that cv2.imread did not find?)")
     return tuple(
-        seen_by(view, masks.get(view.name), ignore=ignored.get(view.name), keypoints=tips.get(view.name))
+        SeenView.of(view, masks.get(view.name), ignore=ignored.get(view.name), keypoints=tips.get(view.name))
         for view in rig.views
-    )
-
-
-def seen_by(
-    view: View, mask: object, *, ignore: object = None, image: NDArray[np.uint8] | None = None, keypoints: object = None
-) -> SeenView:
-    """Return a view with what its camera saw, converted to arrays; its mask is empty if None is given.
-
-    Raises
-    ------
-    InputError
-        A path, text or list that is no array of numbers, or a mask or ignored pixels that are not (H, W).
-    """
-    return SeenView(
-        view.name,
-        view.camera,
-        view.view_from_camera,
-        np.zeros((view.camera.height, view.camera.width), np.bool_) if mask is None else checked_mask("mask", mask),
-        None if ignore is None else checked_mask("ignore", ignore),
-        image,
-        None if keypoints is None else checked_array("keypoints", keypoints, np.float64, "two pixels, (2, 2)"),
-        mask is not None,
     )
 
 

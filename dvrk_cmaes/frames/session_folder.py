@@ -30,7 +30,7 @@ from dvrk_cmaes.camera.files import Side, guessed_camera, read_camera_file
 from dvrk_cmaes.camera.rig_files import read_rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.coco_mask import FILES, frames_of
-from dvrk_cmaes.frames.frame import FrameFiles, frame_size
+from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.keypoints import Hints, read_boxes, read_keypoints
 from dvrk_cmaes.frames.paired_names import counted_apart, paired, with_masks_beside, with_names_of
 from dvrk_cmaes.frames.picture_fit import fitted
@@ -261,19 +261,19 @@ def read_session(
             path, right = root / "left.yaml", root / "right.yaml"
         check_own(root, (path, right))
         first = frames[0] if frames[0].mask or frames[0].image else frames[0].others[_VIEWS[1]]
-        lens = read_rig(path, right, rectified=rectified, size=lambda: frame_size(first))
+        lens = read_rig(path, right, rectified=rectified, size=lambda: first.size)
         notes = ("a session folder of two views", *notes[1:])
     elif right is not None:
         raise InputError(
             f"{root}: expected a stereo session (masks/left) with a right camera, got one of a single view"
         )
     elif focal is not None and (focal != "usual" or not (stated or os.path.lexists(path))):
-        lens, guessed = guessed_camera(frame_size(frames[0]), None if focal == "usual" else focal), True
+        lens, guessed = guessed_camera(frames[0].size, None if focal == "usual" else focal), True
     else:
         check_own(root, [path])
         if not (stated or os.path.lexists(path)):
             raise InputError(f"{path}: no such file; expected a camera file (--camera FILE); {UNCALIBRATED}")
-        lens = read_camera_file(path, rectified=rectified, side=side, size=lambda: frame_size(frames[0]))
+        lens = read_camera_file(path, rectified=rectified, side=side, size=lambda: frames[0].size)
     if not stereo and video is not None and (film := frames[0].video) is not None:
         window = film.video.window(lens.camera, None, side)
         frames = tuple(replace(own, video=own.video and replace(own.video, window=window)) for own in frames)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.frames.frame import FrameFiles, image_of, readable
+from dvrk_cmaes.frames.frame import FrameFiles, readable
 from dvrk_cmaes.segment.background import MOST, learn_background
 from dvrk_cmaes.segment.segmentation import SegmentSettings
 from dvrk_cmaes.silhouette.threads import map_threaded
@@ -49,7 +48,7 @@ def _is_segmented(files: FrameFiles) -> bool:
 def _learn(frames: Sequence[FrameFiles]) -> NDArray[np.uint8] | str:
     """Learn the background of the images of one view, of many from some spread evenly; or return why there is none."""
     chosen = (frames[int(k)] for k in np.unique(np.linspace(0, len(frames) - 1, MOST).round()))
-    images = (readable(partial(image_of, files)) for files in chosen)
+    images = (readable(files.read_image) for files in chosen)
     return learn_background([image for image in images if image is not None])
 
 

@@ -24,7 +24,6 @@ from dvrk_cmaes.io.output import LONG, output, remove, write_bytes
 from dvrk_cmaes.results.folder import check_output, mask_path, overlay_path, result_path
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.pool import limit_library_threads, packed, unpacked
-from dvrk_cmaes.segment.segmentation import Hints, hints_within
 from dvrk_cmaes.silhouette import Body
 
 
@@ -55,7 +54,7 @@ class FrameOutcome:
 
 
 def run_frame(
-    files: FrameFiles, frame: FrameData, body: Body, method: FrameMethod, out: Path | None, command: str = "estimate"
+    frame: FrameData, body: Body, method: FrameMethod, out: Path | None, command: str = "estimate"
 ) -> tuple[Result, tuple[Path, ...]]:
     """Estimate the pose in a frame that was read, and write its result and overlay to the folder ``out`` if given.
 
@@ -67,16 +66,16 @@ def run_frame(
         As `solve_frame`; a name or folder that cannot be written to, in which case nothing is written.
     """
     if out is None:
-        return solve_frame(files, frame, body, method)[1], ()
-    check_output(out, files.name)
-    outcome = outcome_of(files, frame, body, method)
+        return solve_frame(frame, body, method)[1], ()
+    check_output(out, frame.files.name)
+    outcome = outcome_of(frame, body, method)
     with output(out, command, wait=LONG):
         return outcome.result, write_outcome(out, outcome)
 
 
-def outcome_of(files: FrameFiles, frame: FrameData, body: Body, method: FrameMethod) -> FrameOutcome:
+def outcome_of(frame: FrameData, body: Body, method: FrameMethod) -> FrameOutcome:
     """Estimate and draw a frame that was read; arguments and errors as of `solve_frame`."""
-    solved, result = solve_frame(files, frame, body, method)
+    solved, result = solve_frame(frame, body, method)
     views = solved.views if method.session is None else method.session.corrected_views(solved.views)
     found = () if solved is frame else [view for view in solved.views if view.given]
     masks = {view.name if len(views) > 1 else "": encoded_image("mask.png", view.mask) for view in found}
@@ -97,21 +96,22 @@ def write_outcome(out: Path, outcome: FrameOutcome) -> tuple[Path, ...]:
     return result_path(out, frame), overlay_path(out, frame), *masks
 
 
-def solve_frame(files: FrameFiles, frame: FrameData, body: Body, method: FrameMethod) -> tuple[FrameData, Result]:
+def solve_frame(frame: FrameData, body: Body, method: FrameMethod) -> tuple[FrameData, Result]:
     """Estimate the pose in a frame that was read; in one without a mask, find that first, which is then in the frame.
 
     Errors as `estimate` and `segment_and_estimate`.
     """
     if any(view.given for view in frame.views):
-        return frame, estimate_frame(files, frame, body, method)
+        return frame, estimate_frame(frame, body, method)
     from dvrk_cmaes.estimation.image_frame import segment_and_estimate
 
-    segmented = segment_and_estimate(frame, files, body, method)
-    return segmented.data, segmented.result
+    frame, _, result = segment_and_estimate(frame, body, method)
+    return frame, result
 
 
-def estimate_frame(files: FrameFiles, data: FrameData, body: Body, method: FrameMethod) -> Result:
+def estimate_frame(data: FrameData, body: Body, method: FrameMethod) -> Result:
     """Estimate the pose in a frame with a mask that was read from its files; errors as `estimate`."""
+    files = data.files
     return estimate_views(
         data.views,
         files.readings,
@@ -130,7 +130,7 @@ def estimated(arm: ArmInSession, files: FrameFiles) -> FrameOutcome:
     try:
         frame = read_frame(files, arm.session.rig)
         frame = replace(frame, notes=tuple(relative_text(arm.session.folder, note) for note in frame.notes))
-        return outcome_of(files, frame, arm.body, replace(arm.method, hints=hints_of(files)))
+        return outcome_of(frame, arm.body, arm.method)
     except DvrkCmaesError as error:
         reason = str(error)
     except MemoryError:
@@ -172,11 +172,6 @@ def failed_outcome(arm: ArmInSession, files: FrameFiles, reason: str) -> FrameOu
     pictures = (readable(partial(read_image, path)) for path in (files.image, files.mask) if path is not None)
     picture = next((picture for picture in pictures if picture is not None), None)
     return FrameOutcome(result, None if picture is None else encoded_image("overlay.jpg", draw_failed(result, picture)))
-
-
-def hints_of(files: FrameFiles) -> Hints | None:
-    """Return the prompts of a frame for its segmentation; None without any."""
-    return None if files.prompts is None else hints_within(files.prompts, files.crop)
 
 
 def relative_text(folder: Path, text: str) -> str:

@@ -31,10 +31,10 @@ from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.frame import estimate_frame, hints_of
+from dvrk_cmaes.runs.frame import estimate_frame
 from dvrk_cmaes.runs.recording import RecordedFrames, RecordedSolution, predict, read_seen
 from dvrk_cmaes.segment import segment
-from dvrk_cmaes.segment.segmentation import GUESS, Hints
+from dvrk_cmaes.segment.segmentation import GUESS
 from dvrk_cmaes.segment.shaft_pairs import prompts_in
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.frame_fits import learn_task, with_outside
@@ -72,7 +72,7 @@ def with_keyframes(session: Session, most: int) -> Session:
 def alone_task(body: Body, config: EstimateConfig, keyframe: tuple[FrameFiles, Reader], *, arm: Arm) -> Result:
     """Estimate a keyframe by itself, as `batch` does."""
     files, read = keyframe
-    return estimate_frame(files, read(), body, FrameMethod(arm, config))
+    return estimate_frame(replace(read(), files=files), body, FrameMethod(arm, config))
 
 
 def _begin_chosen(
@@ -138,18 +138,11 @@ def _in_digits(calibration: SessionCalibration) -> SessionCalibration | str:
     return bad_predictions(calibration) or SessionCalibration.from_dict(calibration.to_dict())
 
 
-def segment_task(
-    body: Body,
-    config: EstimateConfig,
-    task: tuple[FrameFiles, Hints],
-    *,
-    rig: Rig,
-) -> FrameData | None:
+def segment_task(body: Body, config: EstimateConfig, files: FrameFiles, *, rig: Rig) -> FrameData | None:
     """Find the masks in the images of a frame with its hints; None where nothing is found, or only a guess.
 
     Masks that the frame has are kept. In further views the instrument of the first view's prompts is looked for.
     """
-    files, of_frame = task
     data = read_seen(files, rig)
     if data is None:
         return None
@@ -158,7 +151,7 @@ def segment_task(
     for number, view in enumerate(data.views):
         own = replace(view, image=None)
         if view.image is not None and not (view.given and view.mask.any()):
-            hints = prompts_in(view, views[0], of_frame, body) if number else of_frame
+            hints = prompts_in(view, views[0], files.hints, body) if number else files.hints
             mask = segment(view.image, **vars(hints), threads=1)
             right = mask.confidence >= GUESS and replace(view, mask=mask.mask).shows
             own = replace(own, mask=mask.mask, given=True) if right else own
@@ -167,13 +160,10 @@ def segment_task(
     return found if any(view.given and view.shows for view in found.views) else None
 
 
-def _segmented(recorded: RecordedFrames, chosen: Sequence[int], hints: Hints, work: ArmSetup) -> dict[int, FrameData]:
+def _segmented(recorded: RecordedFrames, chosen: Sequence[int], work: ArmSetup) -> dict[int, FrameData]:
     """Find the masks in images by number of the frame, of those in which the instrument is found."""
     work.progress("finding masks", len(chosen))
-    files = recorded.files
-    of_frames = [hints if i == 0 and hints != Hints() else hints_of(files[i]) or Hints() for i in chosen]
-    tasks = [(files[i], of_frame) for i, of_frame in zip(chosen, of_frames, strict=True)]
-    found = work.run(partial(segment_task, rig=recorded.rig), tasks)
+    found = work.run(partial(segment_task, rig=recorded.rig), [recorded.files[i] for i in chosen])
     return {i: one for i, one in zip(chosen, found, strict=True) if one is not None}
 
 
@@ -200,22 +190,22 @@ def _with_colours(solution: RecordedSolution, found: Mapping[int, FrameData]) ->
 
 
 def begin_solution(
-    recorded: RecordedFrames, given: SessionCalibration | None, hints: Hints | None, work: ArmSetup
+    recorded: RecordedFrames, given: SessionCalibration | None, work: ArmSetup, *, by_masks: bool
 ) -> Begun[RecordedSolution | str | None]:
     """Estimate the keyframes of a recording alone and solve them together; a text says why that is not possible.
 
-    A calibration that is ``given`` is used instead. Without ``hints`` the recording is followed by its masks. With
-    them, which hold for the first frame, masks are found in its images, and determine the colours. Finish it by
-    `solved_together` or `solved_alone`. Raises InputError for a file that is wrong.
+    A calibration that is ``given`` is used instead. Unless the recording is followed ``by_masks``, masks are found in
+    its images, and determine the colours. Finish it by `solved_together` or `solved_alone`. Raises InputError for a
+    file that is wrong.
     """
-    if hints is None:
+    if by_masks:
         recorded, found, least = recorded.with_own_masks(), None, LEAST_KEYFRAMES
         keyframes = {i: partial(read_frame, recorded.files[i], recorded.rig) for i in recorded.keyframes()}
     else:
         chosen = recorded.keyframes(_SEGMENTED, np.array([own.has_image or own.has_mask for own in recorded.files]))
         if given is None and len(chosen) < LEAST_KEYFRAMES:  # too few to find masks of another tool
             return Begun.of(f"{len(chosen)} images that differ have readings, fewer than {LEAST_KEYFRAMES}")
-        found, least = _segmented(recorded, chosen, hints, work), _FEWEST
+        found, least = _segmented(recorded, chosen, work), _FEWEST
         recorded = recorded.measured(found.items())
         keyframes = {i: partial(replace, found[i]) for i in recorded.keyframes(_FOUND_KEYFRAMES)}
 

@@ -142,12 +142,7 @@ def read_seen(files: FrameFiles, rig: Rig, *, images: bool = True) -> FrameData 
     files = files if images else files.changed(image=None, video=None)
     if files.problem is None and not (files.has_mask or files.has_image):
         return None
-    try:
-        return read_frame(files, rig, blank=True)
-    except InputError as error:
-        if len(rig.views) > 1 and "mask is empty" in str(error):
-            return None
-        raise
+    return read_frame(files, rig, blank=True)
 
 
 def predict(

@@ -38,7 +38,6 @@ from dvrk_cmaes.runs.solver_process import SolverProcess
 from dvrk_cmaes.runs.track_inputs import EvidenceKind, files_of_views, read_arrays
 from dvrk_cmaes.runs.track_outputs import write_outputs
 from dvrk_cmaes.segment import segment
-from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.track import Tracker
 from dvrk_cmaes.track.keyframe_problem import SolutionSchedule
 
@@ -65,7 +64,7 @@ class TrackedArm:
     Parameters
     ----------
     arm
-        The arm; the hints of its method are those of the first frame.
+        The arm.
     out
         Folder of the results.
     settings
@@ -146,8 +145,7 @@ class TrackedArm:
         work = ArmSetup(series, instrument, method.arm, config, run, by.stage, lag=self._lag)
         if self._given is not None and not recorded.trusted.any():
             return Begun.of("no frame has readings of the outer joints that are not frozen")
-        hints = None if settings.evidence == "masks" else method.hints or Hints()
-        return begin_solution(recorded, self._given, hints, work)
+        return begin_solution(recorded, self._given, work, by_masks=settings.evidence == "masks")
 
     def _finish(self, own: Output, begun: Begun[RecordedSolution | str | None], outcome: Outcome | None) -> TrackedArm:
         """Finish the keyframes of the arm, whose folder and processes are open, follow it, and write everything.
@@ -158,7 +156,7 @@ class TrackedArm:
             self._follow(begun.finish(outcome))
         names = ("lag", "every", "causal", "evidence")
         followed = {name: encoded(getattr(self.settings, name)) for name in names}
-        followed |= {"use_joints": bool(self.recorded.series.times), "hints": encoded(self.arm.method.hints)}
+        followed |= {"use_joints": bool(self.recorded.series.times), "hints": encoded(self.recorded.files[0].hints)}
         stamps = {files.name: frame_stamps(files) for files in self.recorded.files}
         own.describe(manifest_of(self.arm, stamps) | {"track": followed})
         if self.rows:
@@ -224,9 +222,9 @@ class TrackedArm:
         for name, of_view in files_of_views(files, self.session.rig).items():
             image, masks[name], ignored[name] = read_arrays(of_view, self.session.rig.view(name).camera)
             images[name] = None if self.settings.evidence == "masks" else image
-        first, hints = self.session.rig.names[0], self.arm.method.hints or Hints()
+        first = self.session.rig.names[0]
         if files is self.recorded.files[0] and masks.get(first) is None and images.get(first) is not None:
-            mask = segment(images[first], **vars(hints)).mask
+            mask = segment(images[first], **vars(files.hints)).mask
             masks[first] = mask if mask.any() else None
         return masks, images, ignored
 

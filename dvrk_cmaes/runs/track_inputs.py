@@ -11,7 +11,7 @@ import numpy as np
 
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.frame import FrameFiles, frame_size, read_frame
+from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.images import match_size
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Bool, Image
@@ -81,7 +81,7 @@ def _by_images(session: Session) -> Session:
         there = (files_of_views(files, session.rig).get(view.name) for files in frames)
         first = next((own for own in there if own is not None), None)
         if first is not None:
-            fitted[view.name], note = match_size(view.camera, frame_size(first)[::-1], "image")
+            fitted[view.name], note = match_size(view.camera, first.size[::-1], "image")
             notes = notes if note is None else (*notes, note)
     return replace(session, frames=frames, rig=session.rig.with_cameras(fitted), notes=notes)
 

@@ -65,16 +65,6 @@ class SegmentSettings:
     notes: tuple[str, ...] = field(default=(), compare=False)
 
 
-def hints_within(hints: Hints, crop: tuple[int, int, int, int] | None) -> Hints:
-    """Return prompts in pixels of a part of the image: left, top, width and height, px; None for all of it."""
-    if crop is None:
-        return hints
-    left, top, *_ = crop
-    box = hints.box and (hints.box[0] - left, hints.box[1] - top, hints.box[2] - left, hints.box[3] - top)
-    points, not_points = ([(u - left, v - top) for u, v in each] for each in (hints.points, hints.not_points))
-    return Hints(box, points, not_points)
-
-
 def check_background(background: NDArray[np.uint8]) -> None:
     """Raise InputError for a background that is not (h, w, 3) uint8."""
     if not (isinstance(background, np.ndarray) and background.dtype == np.uint8 and background.size):

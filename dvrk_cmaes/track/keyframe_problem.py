@@ -21,7 +21,7 @@ from dvrk_cmaes.calibration.session_frame import SessionFrame
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.estimation import estimate
+from dvrk_cmaes.estimation.one_tool import FrameMethod, estimate_views
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import PackedMask, seen_views
 from dvrk_cmaes.geometry import Bool
@@ -121,10 +121,8 @@ class KeyframeProblem:
         config, alone = replace(self.config, threads=threads), dict(self.alone)
         for keyframe in self.keyframes:
             if keyframe.name not in alone:
-                views = keyframe.data(self.rig).views
-                masks = {view.name: view.mask for view in views if view.given}
-                ignored = {view.name: view.ignore for view in views if view.ignore is not None}
-                found = estimate(masks, self.rig, keyframe.readings, body, ignore=ignored or None, config=config)
+                views, method = keyframe.data(self.rig).views, FrameMethod("classic", config)
+                found = estimate_views(views, keyframe.readings, body, method, named=True)
                 alone[keyframe.name] = Result.from_dict(found.to_dict())  # in the digits of its document
         return {keyframe.name: alone[keyframe.name] for keyframe in self.keyframes}
 

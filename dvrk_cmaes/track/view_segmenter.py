@@ -15,9 +15,9 @@ from dvrk_cmaes.camera import Camera, Rig, View
 from dvrk_cmaes.config import TrackConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.field_of_view import outside_view
-from dvrk_cmaes.frames.seen_view import SeenView, check_views, seen_by
+from dvrk_cmaes.frames.seen_view import SeenView, check_views
 from dvrk_cmaes.geometry import Bool, Image, Posed
-from dvrk_cmaes.io.arguments import check_type, checked_mask
+from dvrk_cmaes.io.arguments import check_type
 from dvrk_cmaes.pose.doubts import image_black, image_frozen, mask_says_nothing
 from dvrk_cmaes.pose.views import silhouette_of
 from dvrk_cmaes.segment import segment
@@ -120,24 +120,21 @@ class ViewSegmenter:
 
     def _looked(self, view: View, mask: Bool | None, image: Image | None, ignore: Bool | None) -> SeenImage:
         """Check the arrays of one view, and choose those that are used."""
-        mask = None if mask is None else checked_mask("mask", mask)
-        ignore = None if ignore is None else checked_mask("ignore", ignore)
-        for name, array in (("mask", mask), ("ignore", ignore), ("image", image)):
+        seen = SeenImage.of(view, mask, ignore=ignore, image=None if image is not None and image.ndim == 2 else image)
+        for name, array in (("mask", seen.mask), ("ignore", seen.ignore), ("image", image)):
             if array is not None:
                 _check_size(name, array, view.camera)
-        used = None if image is not None and image.ndim == 2 else image
         now, shown, surrounded = None, False, False
-        if mask is not None:
-            now, counts = crc32(np.packbits(mask).tobytes()), True if ignore is None else ~ignore
-            shown, surrounded = bool((mask & counts).any()), bool((~mask & counts).any())
-        elif used is not None:
-            now = crc32(used[::4].tobytes())
+        if seen.given:
+            now, counts = crc32(np.packbits(seen.mask).tobytes()), True if seen.ignore is None else ~seen.ignore
+            shown, surrounded = seen.shows, bool((~seen.mask & counts).any())
+        elif seen.image is not None:
+            now = crc32(seen.image[::4].tobytes())
         problem = image_black(self._black_level if image is None else int(image.max()), self._black_level)
-        if problem is None and (mask is not None or used is None):
-            problem = mask_says_nothing(given=mask is not None, shown=shown, surrounded=surrounded)
+        if problem is None and (seen.given or seen.image is None):
+            problem = mask_says_nothing(given=seen.given, shown=shown, surrounded=surrounded)
         before, self._last[view.name] = self._last.get(view.name), now
-        seen = seen_by(view, mask, ignore=ignore, image=used)
-        return SeenImage(**vars(seen), problem=problem, same=now is not None and now == before)
+        return replace(seen, problem=problem, same=now is not None and now == before)
 
     def _by_view(self, name: str, value: Masks | Images | None) -> list[Any]:
         """Return an argument's arrays in the order of the views."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -65,8 +65,8 @@ def by_points(made: Made, frame: SyntheticFrame, method: str) -> Result:
     files = FrameFiles(frame.name, None, readings=frame.readings, keypoints=frame.tips)
     plan = made.plan
     if method == PNP_TIPS:
-        data = FrameData.of(frame.mask, plan.camera, frame.ignore)
-        return pose_from_tips(files, data, plan.body.instrument)
+        data = replace(FrameData.of(frame.mask, plan.camera, frame.ignore), files=files)
+        return pose_from_tips(data, plan.body.instrument)
     return pose_from_markers(
         files,
         plan.camera,

@@ -162,12 +162,11 @@ def _posed(picture: Picture) -> tuple[Segmentation, bool | None, str]:
     """Find a picture's mask and pose as `estimate` does; return the mask, whether the pose is right, and its status."""
     body, shape = prepare(picture.instrument), picture.image.shape[:2]
     data = FrameData.of(np.zeros(shape, np.bool_), picture.camera, image=picture.image)
+    data = replace(data, files=FrameFiles(picture.name, None, picture.joints))
     try:
-        files = FrameFiles(picture.name, None, picture.joints)
-        found = segment_and_estimate(data, files, body, FrameMethod("classic", EstimateConfig()))
+        _, mask, result = segment_and_estimate(data, body, FrameMethod("classic", EstimateConfig()))
     except DvrkCmaesError:
         return Segmentation(np.zeros(shape, np.bool_), 0.0), False, "failed"
-    mask, result = found.segmentation, found.result
     if result.camera_from_root is None:
         return mask, False, result.status
     at = np.array([result.joints[name] for name in body.instrument.joint_names])

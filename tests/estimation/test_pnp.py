@@ -90,7 +90,7 @@ def test_tips_and_shaft_edges_give_pose(bundled_body: Body) -> None:
         + TRUTH["0004"].camera_from_root[:3, 3]
     )
     files = true_files("0004", keypoints=tips[::-1].copy())
-    result = pose_from_tips(files, read_frame(files, SESSION.camera), bundled_body.instrument)
+    result = pose_from_tips(read_frame(files, SESSION.camera), bundled_body.instrument)
     truth = TRUTH["0004"]
     assert result.camera_from_root is not None
     error = compare_poses(

@@ -22,9 +22,10 @@ from dvrk_cmaes.estimation import image_frame, one_tool
 from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.runs import frame as frames
 from dvrk_cmaes.runs.manifest import digest_of
+from dvrk_cmaes.track import keyframe_problem
 
 MAKE = one_tool.estimate_views
-_CALLERS = one_tool, image_frame, frames
+_CALLERS = one_tool, image_frame, frames, keyframe_problem
 
 
 @contextmanager

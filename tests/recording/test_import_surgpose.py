@@ -18,7 +18,6 @@ from helpers.places import bundled_path
 from dvrk_cmaes import EstimateConfig, prepare, read_session
 from dvrk_cmaes.frames.markers import place_markers, read_detections, read_marker_table
 from dvrk_cmaes.runs.keyframes import segment_task
-from dvrk_cmaes.segment.segmentation import Hints
 
 pytestmark = pytest.mark.usefixtures("searches_short")
 
@@ -233,8 +232,7 @@ def test_points_need_labels(run: Run) -> None:
 def test_box_in_the_left_eye_chooses_the_arm_in_the_right_one(run: Run, made: Path, arms: MadeArms, arm: str) -> None:
     run("import", made, "--arm", arm, "--side", "both", "--out", "session")
     session = read_session("session")
-    task = session.frames[4], session.frames[4].prompts or Hints()
-    found = segment_task(prepare("lnd"), EstimateConfig(), task, rig=session.rig)
+    found = segment_task(prepare("lnd"), EstimateConfig(), session.frames[4], rig=session.rig)
     assert found is not None
     for view, right in zip(found.views, (False, True), strict=True):
         true = arms.coverages(4, right)[arm] > 0.5

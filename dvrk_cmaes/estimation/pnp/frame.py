@@ -83,14 +83,12 @@ def pose_from_markers(
     return _result(files, camera, instrument, answer, config, perf_counter() - started, arm)
 
 
-def pose_from_tips(
-    files: FrameFiles, data: FrameData, instrument: Instrument, *, arm: Arm = "classic", seed: int = 0
-) -> Result:
+def pose_from_tips(data: FrameData, instrument: Instrument, *, arm: Arm = "classic", seed: int = 0) -> Result:
     """Find the pose of a frame from its two jaw tips and the shaft's edges in its mask; failed if either is missing.
 
     ``seed`` is that of the random numbers used in gathering the evidence.
     """
-    started = perf_counter()
+    started, files = perf_counter(), data.files
     joints = _readings(files, instrument)
     answer: PointPose | str
     if isinstance(joints, str):
