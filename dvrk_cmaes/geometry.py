@@ -37,30 +37,6 @@ def exp_rotation(rotvec: ArrayLike) -> Float64:
     return _kernel.exp_rotation(np.asarray(rotvec, dtype=np.float64))
 
 
-def quaternion_wxyz(rotation: ArrayLike) -> Float64:
-    """Convert rotation matrices (..., 3, 3) to unit quaternions w, x, y, z (..., 4) with w >= 0."""
-    r = np.asarray(rotation, dtype=np.float64)
-    # Row k is the unit quaternion times four times its component k. Normalising the row of the largest component
-    # avoids division by small numbers.
-    x, y, z = r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]
-    a, b, c = r[..., 2, 1], r[..., 0, 2], r[..., 1, 0]
-    d, e, f = r[..., 1, 2], r[..., 2, 0], r[..., 0, 1]
-    rows, diagonal = np.empty((*x.shape, 4, 4)), np.empty((*x.shape, 4))
-    rows[..., 0, 0], rows[..., 1, 1] = 1 + x + y + z, 1 + x - y - z
-    rows[..., 2, 2], rows[..., 3, 3] = 1 - x + y - z, 1 - x - y + z
-    rows[..., 0, 1] = rows[..., 1, 0] = a - d
-    rows[..., 0, 2] = rows[..., 2, 0] = b - e
-    rows[..., 0, 3] = rows[..., 3, 0] = c - f
-    rows[..., 1, 2] = rows[..., 2, 1] = f + c
-    rows[..., 1, 3] = rows[..., 3, 1] = b + e
-    rows[..., 2, 3] = rows[..., 3, 2] = d + a
-    diagonal[..., 0], diagonal[..., 1], diagonal[..., 2], diagonal[..., 3] = x + y + z, x, y, z
-    largest = np.argmax(diagonal, axis=-1)
-    q = np.take_along_axis(rows, largest[..., None, None], axis=-2)[..., 0, :]
-    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    return np.asarray(np.where(q[..., :1] < 0, -q, q))
-
-
 def log_rotation(rotation: ArrayLike) -> Float64:
     """Convert rotation matrices (..., 3, 3) to rotation vectors (..., 3), rad, of length at most pi."""
     return _kernel.log_rotation(np.asarray(rotation, dtype=np.float64))
@@ -195,8 +171,9 @@ class Posed:
 
 def quaternion_xyzw(pose: NDArray[np.float64]) -> list[float]:
     """Convert the rotation of a pose (4, 4) to a quaternion x, y, z, w, the order of ROS and SciPy, with w >= 0."""
-    quaternion: list[float] = np.roll(quaternion_wxyz(pose[:3, :3]), -1).tolist()
-    return quaternion
+    vector = log_rotation(pose[:3, :3])
+    half = float(np.linalg.norm(vector)) / 2
+    return [*(np.sinc(half / np.pi) / 2 * vector).tolist(), float(np.cos(half))]
 
 
 def project_cylinder(point: Float64, direction: Float64, radius: float) -> Float64:

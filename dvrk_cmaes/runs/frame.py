@@ -141,18 +141,16 @@ def estimated(arm: ArmInSession, files: FrameFiles) -> FrameOutcome:
     return failed_outcome(arm, files, reason)
 
 
-def run_task(body: bytes, given: bytes, home: int, files: FrameFiles) -> FrameOutcome:
+def run_task(given: bytes, home: int, files: FrameFiles) -> FrameOutcome:
     """Estimate one frame in any process; arguments as of `shared`."""
     if os.getpid() != home:
         limit_library_threads()
-    session, method = unpacked(given)
-    return estimated(ArmInSession(session, unpacked(body), method), files)
+    return estimated(unpacked(given), files)
 
 
-def shared(arm: ArmInSession) -> tuple[bytes, bytes, int]:
+def shared(arm: ArmInSession) -> tuple[bytes, int]:
     """Return what a process needs of an arm to estimate any frame of it, pickled, and the number of this process."""
-    session = Session(arm.session.folder, arm.session.rig, (), SessionTruth())
-    return packed(arm.body), packed((session, arm.method)), os.getpid()
+    return packed(replace(arm, session=Session(arm.session.folder, arm.session.rig, (), SessionTruth()))), os.getpid()
 
 
 def failed_outcome(arm: ArmInSession, files: FrameFiles, reason: str) -> FrameOutcome:
