@@ -42,6 +42,8 @@ WRIST_LENGTH: Final = 0.0091
 TOOLTIP_OFFSET: Final = np.array([[0.0, -1, 0, 0], [0, 0, 1, 0], [-1, 0, 0, 0], [0, 0, 0, 1]])
 """Pose of the dVRK's tool tip frame in the wrist yaw frame (DH frame 6), of the Large Needle Driver 400006."""
 
+_LEAST_DEPTH: Final = 1e-12  # m, of a place whose direction from the remote centre of motion is known
+
 
 class DHJoint(NamedTuple):
     """One row of a table of modified Denavit-Hartenberg parameters: Rx(alpha) Tx(a) Rz(theta) Tz(d)."""
@@ -133,6 +135,17 @@ def base_from_root_and_jacobian(
             jacobian[..., 3:, k] = axis
         link_from_root = steps[k] @ link_from_root
     return np.asarray(link_from_root), jacobian
+
+
+def outer_joints_at(places: Float64, arm: Arm = "classic", *, roll_offset: float = ROLL_OFFSET) -> Float64:
+    """Return yaw, pitch, insertion (..., 3), rad and m, with the origin of the root at places (..., 3) in the base, m.
+
+    Pitch is within a quarter turn. Other arguments are as of `base_from_root`.
+    """
+    depth = np.linalg.norm(places, axis=-1)
+    x, y, z = np.moveaxis(places / np.maximum(depth, _LEAST_DEPTH)[..., None], -1, 0)
+    insertion = depth - INSERTION_OFFSET[arm] - roll_offset
+    return np.stack([np.arctan2(x, -z), np.arctan2(-y, np.hypot(x, z)), insertion], axis=-1)
 
 
 def root_from_tip(

@@ -15,13 +15,13 @@ import numpy as np
 
 from dvrk_cmaes.geometry import Float64, inverse
 from dvrk_cmaes.instrument.arm import (
-    INSERTION_OFFSET,
     OUTER_JOINTS,
     ROLL_OFFSET,
     TOOLTIP_OFFSET,
     WRIST_LENGTH,
     Arm,
     base_from_root,
+    outer_joints_at,
 )
 
 POSED_JOINTS: Final = (*OUTER_JOINTS, "wrist_pitch", "wrist_yaw")
@@ -77,9 +77,7 @@ def find_joints(
     known &= depth > _SINGULAR
     shaft = root_origin / np.where(known, depth, 1.0)[:, None]
     side = np.cross(pitch_axis, shaft)  # the root's x axis; its y axis is the pitch axis
-    joints[:, 0] = np.arctan2(shaft[:, 0], -shaft[:, 2])
-    joints[:, 1] = np.arctan2(-shaft[:, 1], np.hypot(shaft[:, 0], shaft[:, 2]))
-    joints[:, 2] = depth - INSERTION_OFFSET[arm] - roll_offset
+    joints[:, :3] = outer_joints_at(root_origin, arm, roll_offset=roll_offset)
     unrolled = base_from_root(np.concatenate([joints[:, :3], np.zeros((len(joints), 1))], axis=1), arm)
     joints[:, 3] = np.arctan2((unrolled[:, :3, 1] * side).sum(axis=1), (unrolled[:, :3, 0] * side).sum(axis=1))
     joints[:, 4] = np.arctan2((forward * side).sum(axis=1), (forward * shaft).sum(axis=1))

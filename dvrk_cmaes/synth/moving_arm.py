@@ -15,7 +15,7 @@ import numpy as np
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.geometry import Float64, apply, inverse
-from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, OUTER_JOINTS, Arm, base_from_root
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm, base_from_root, outer_joints_at
 from dvrk_cmaes.joints.cable_prior import CableModel
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.cable_motion import pulled
@@ -114,7 +114,8 @@ def moving_arm(
         poses = base @ base_from_root(outer, arm, roll_offset=body.instrument.roll_offset)
         if steered is not None:
             bases = steered @ base
-            followed = outer_joints_at(apply(inverse(bases), poses[:, :3, 3][:, None])[:, 0], body, arm)
+            places = apply(inverse(bases), poses[:, :3, 3][:, None])[:, 0]
+            followed = outer_joints_at(places, arm, roll_offset=body.instrument.roll_offset)
             for k, name in enumerate(OUTER_JOINTS[:3]):
                 readings[name] = readings[name] + followed[:, k] - paths[name]
                 paths[name] = followed[:, k]
@@ -133,14 +134,6 @@ def moving_arm(
         if seen == 1.0 or (level.leaves and _LEAST_IN_VIEW < seen < 1.0):
             return base, truths, readings
     raise DvrkCmaesError(f"no motion was found that keeps {body.instrument.name} in view")
-
-
-def outer_joints_at(places: Float64, body: Body, arm: Arm) -> Float64:
-    """Return yaw, pitch and insertion (N, 3), rad and m, at which the root's origin is at places (N, 3) in the base."""
-    depth = np.linalg.norm(places, axis=1)
-    x, y, z = (places / depth[:, None]).T
-    insertion = depth - INSERTION_OFFSET[arm] - body.instrument.roll_offset
-    return np.stack([np.arctan2(x, -z), np.arctan2(-y, np.hypot(x, z)), insertion], axis=1)
 
 
 def cable_joints(body: Body) -> tuple[str, ...]:
