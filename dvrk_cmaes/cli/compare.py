@@ -144,6 +144,9 @@ def _sums(comparison: Comparison) -> Iterator[Line]:
             once, twice, of = within_std
             shares = f"{once / of:.0%} of {of} frames, within twice of it {twice / of:.0%}"
             yield Line(f"  tips within their stated standard deviation of the truth: {shares} (expected: 65 %, 95 %)")
+        if own := comparison.sets[k].own_names:
+            name, before = next(iter(own.items()))
+            yield Line(f"  paired by their numbers: {len(own)} frames, such as {before} with {name} of {reference}")
         missing = [name for name in comparison.frames if name in comparison.sets[comparison.reference].frames]
         missing = [name for name in missing if name not in found]
         if missing:

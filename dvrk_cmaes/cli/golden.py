@@ -137,14 +137,15 @@ def check(
     json
         Print only the comparison, as JSON, on stdout.
     """
+    from dvrk_cmaes.frames.paired_names import named_as
     from dvrk_cmaes.frames.truth import read_golden
 
     for name, value in asdict(tolerance).items():
         if not value >= 0:
             raise InputError(f"--{name.replace('_', '-')}: expected a number of at least 0, got {value:g}")
     path = session / "golden.json" if golden is None else golden
-    kept = read_golden(path).frames
     (arm,) = open_session(session, given, single=True).values()
+    kept = named_as([files.name for files in arm.session.frames], read_golden(path).frames)
     _check_names(path, kept, arm.session)
     frames = [files for files in arm.session.frames if files.name in kept]
     results = tracked(_estimated(frames, arm), "Estimating", len(frames))
@@ -209,7 +210,8 @@ def _lines(checks: Sequence[tuple[Result, PoseCheck]], tolerance: Tolerance) -> 
     for result, check in checks:
         cells = {row.measured.quantity: row.measured for row in check.rows}
         shown = [f"{e.error:.2f}{'!' * e.exceeds}" if (e := cells.get(name)) else "-" for name in quantities]
-        stated = None if result.expected_error is None else result.expected_error.tip_90_mm
+        error = result.expected_error
+        stated = None if error is None or not error.determined else error.tip_90_mm
         rows.append((result.frame, result.status, fixed(stated, 1), *shown))
     yield Line("Errors: root and tip in mm, else deg (! is off); stated: tips within, mm (90 %)")
     yield from table_lines(Table(("frame", "status", "stated", *quantities), rows))

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.paired_names import named_as
 from dvrk_cmaes.frames.truth import read_golden, read_published_poses
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.results.folder import read_results
@@ -45,11 +46,18 @@ class ComparedFrame:
 
 @dataclass(frozen=True, eq=False)
 class ComparedSet:
-    """A set of frames by name, read from ``path``."""
+    """A set of frames by name, read from ``path``, where frames that are named as others have ``own_names``."""
 
     path: Path
     kind: Kind
     frames: Mapping[str, ComparedFrame]
+    own_names: Mapping[str, str] = field(default_factory=dict)
+
+    def as_of(self, frames: Iterable[str]) -> ComparedSet:
+        """Return the set with the names of other frames, those of equal numbers, as in a session."""
+        own = named_as(frames, {name: name for name in self.frames})
+        changed = {name: before for name, before in own.items() if name != before}
+        return replace(self, frames={name: self.frames[before] for name, before in own.items()}, own_names=changed)
 
 
 def read_compared_set(path: Path) -> ComparedSet:

@@ -189,20 +189,19 @@ class Comparison:
 
 
 def compare_sets(sets: Sequence[ComparedSet], instrument: Instrument) -> Comparison:
-    """Compare sets of poses of the same frames.
+    """Compare two or more sets of poses of the same frames.
 
     Raises
     ------
     InputError
-        Fewer than two sets, more than one truth, or no frame that has a pose in the reference and in another set.
+        More than one truth, or no frame that has a pose in the reference and in another set.
     """
-    if len(sets) < 2:
-        raise InputError(f"compare: expected at least two sets of results, got {len(sets)}")
     truths = [k for k, compared in enumerate(sets) if compared.kind == "truth"]
     if len(truths) > 1:
         raise InputError(f"{sets[truths[1]].path}: expected one truth, got {sets[truths[0]].path} too")
     reference = truths[0] if truths else 0
     base = sets[reference].frames
+    sets = [compared.as_of(base) for compared in sets]
     differences = tuple(
         {}
         if k == reference

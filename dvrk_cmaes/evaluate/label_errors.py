@@ -168,6 +168,7 @@ def label_errors(compared: ComparedSet, labels: Labels, instrument: Instrument) 
     InputError
         No frame of the set has labels, or a link of the table is not in the instrument.
     """
+    compared = compared.as_of(labels.pixels)
     if not set(compared.frames) & set(labels.pixels):
         raise InputError(
             f"{compared.path}: expected frames that {labels.path} has labels of ({listed(labels.pixels)}), "

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.paired_names import named_as
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.frames.truth import read_published_poses
 from dvrk_cmaes.geometry import Float64
@@ -96,7 +97,8 @@ def read_result_set(path: Path, readings_from: Path | None = None) -> ResultSet:
     solved = f"{together} of {len(posed)} {TOGETHER}"
     if together in (0, len(posed)):
         solved = TOGETHER if together else ONE_BY_ONE
-    readings = {name: result.readings for name, result in results.items()} if given is None else given
+    by_frame = {name: result.readings for name, result in results.items()}
+    readings = by_frame if given is None else named_as(results, given)
     failed = tuple(name for name in results if name not in posed)
     doubtful = tuple(name for name in posed if results[name].status == "doubtful")
     alone = str(path / ALONE) if together and (path / ALONE / "frames").is_dir() else None

@@ -97,8 +97,8 @@ def _of_data_set(
     images = [image for image in document["images"] if isinstance(image, Mapping)]
     stems = {_stem(str(image.get("file_name"))): image for image in images}
     numbered = [stems[one] for one in stems if name is not None and number_of(one) == number_of(name) is not None]
-    found = [stems[name]] if name in stems else numbered if len(numbered) == 1 else []
-    image = found[0] if found else images[0] if len(images) == 1 else None
+    numbered = numbered if len(numbered) == 1 else images
+    image = stems[name] if name in stems else numbered[0] if len(numbered) == 1 else None
     if image is None:
         there = listed(str(image.get("file_name")) for image in images)
         raise InputError(f"{path}: images: expected one of the frame {shown(name)}, got {there or 'none'}")

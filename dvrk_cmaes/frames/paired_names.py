@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping
 from pathlib import Path
+from typing import TypeVar
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.coco_mask import ROBOFLOW
@@ -15,6 +16,7 @@ _ADDED = re.compile(
     rf"^(?:mask|label|seg)s?[_-]|[_-](?:mask|label|seg|gt|segmentation(?:mask)?)s?$|\.(?:png|jpe?g|bmp|tiff?)$|{ROBOFLOW.pattern}",
     re.IGNORECASE,
 )
+_Value = TypeVar("_Value")
 # of Label Studio: counts images as they were given to it, in all projects
 _TASK = re.compile(r"task-(\d+)-annotation-")
 
@@ -40,6 +42,17 @@ def paired(names: Iterable[str], others: Iterable[str]) -> dict[str, str]:
     own, rest = list(names), others if isinstance(others, Mapping) else dict.fromkeys(others)
     if counted_apart(own, rest):
         return dict(zip(sorted(own, key=_counted), sorted(rest, key=_counted), strict=True))
+    return _of_one_number(own, rest)
+
+
+def named_as(frames: Iterable[str], values: Mapping[str, _Value]) -> dict[str, _Value]:
+    """Return values by the names of the frames that theirs are equal to or have the number of, others by theirs."""
+    met = _of_one_number([*values], dict.fromkeys(frames))
+    return {met.get(name, name): value for name, value in values.items()}
+
+
+def _of_one_number(own: Collection[str], rest: Collection[str]) -> dict[str, str]:
+    """Pair names as in `paired`, but none in order."""
     found = {name: name for name in own if name in rest}
     for key in (_without_words, _number):
         if len(found) < len(own):

@@ -32,7 +32,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.coco_mask import FILES, frames_of
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.keypoints import Hints, read_boxes, read_keypoints
-from dvrk_cmaes.frames.paired_names import counted_apart, paired, with_masks_beside, with_names_of
+from dvrk_cmaes.frames.paired_names import counted_apart, named_as, paired, with_masks_beside, with_names_of
 from dvrk_cmaes.frames.picture_fit import fitted
 from dvrk_cmaes.frames.published_layout import find_published_frames, is_published_layout
 from dvrk_cmaes.frames.session_toml import CameraEntry, ToolEntry, read_session_toml
@@ -409,6 +409,8 @@ def _session_frames(
     for kinds in of_views:
         kinds[0] = with_names_of(mask_folder, kinds[0], kinds[1], rows)
     masks = of_views[0][0]
+    for kinds in of_views[1:]:
+        kinds[:2] = [named_as({**masks, **images}, of_kind) for of_kind in kinds[:2]]
     # lexists: a broken link is an error, not a missing file
     times = read_image_times(tables[0]) if os.path.lexists(tables[0]) else {}
     tips = read_keypoints(tables[1]) if os.path.lexists(tables[1]) else {}
@@ -416,15 +418,20 @@ def _session_frames(
     films = {} if video is None else _filmed(video, files, tuple(masks))
     if films and all(file.labels != "frame" for file in files):  # else the times are those of the rows
         times = {name: film.video.times[film.number] for name, film in films.items()}
-    image_times = {
-        name: times.get(name, time_in_name(name))
-        for name in sorted(set(films).union(*(files for kinds in of_views for files in kinds[:2])), key=natural)
-    }
+    names = sorted(set(films).union(*(files for kinds in of_views for files in kinds[:2])), key=natural)
+    times, tips, boxes = named_as(names, times), named_as(names, tips), named_as(names, boxes)
+    for kinds in of_views:
+        kinds[2] = named_as(names, kinds[2])
+    image_times = {name: times.get(name, time_in_name(name)) for name in names}
     files, remarks = _meeting(files, image_times, read_as)
     if apart:
         remarks.append(f"paired in order with as many files {listed(like, 1)}: {' and '.join(apart)}")
     if unused := [*_unused(root, masks=not masks, joints=joints is not None and not files)]:
         remarks.append(f"not read: {listed(unused)}: session.toml can name masks and joints of other names")
+    others: dict[str, Mapping[str, object]] = dict(zip(_TABLES, (times, tips, boxes), strict=False))
+    others["ignore"] = of_views[0][2]
+    if lost := [each for each, of_each in others.items() if of_each and not {*names} & of_each.keys()]:
+        remarks.append(f"not read: {listed(lost)}: none of its names or numbers is a frame's")
     if images and (alone := [name for name in masks if name not in images and name not in rows]):
         remarks.append(f"masks without an image or a row of readings: {listed(alone)}")
     frames, distances = list[FrameFiles](), list[int]()

@@ -207,7 +207,7 @@ class Inputs:
         self._heard: dict[str, float] = {}
         self._began: float | None = None  # s, when silence was looked for first
         self._first: float | None = None  # s, when the first part of a frame came
-        self._silent: set[str] = set()
+        self._silent: dict[str, str] = {}  # topics, and what is said when they are heard
 
     def subscribe(self, connection: Connection) -> None:
         """Subscribe to all topics; answers on the connection are as of the ROS that its images come from."""
@@ -252,11 +252,10 @@ class Inputs:
         for topic in self.topics.timed:
             quiet = now - max(self._heard.get(topic, self._began), self._began)
             if quiet > self._longest_silence and topic not in self._silent:
-                self._silent.add(topic)
+                self._silent[topic] = "messages again" if topic in self._heard else "first message"
                 self._report(f"{topic}: no message for {quiet:.1f} s")
             elif quiet <= self._longest_silence and topic in self._silent:
-                self._silent.discard(topic)
-                self._report(f"{topic}: messages again")
+                self._report(f"{topic}: {self._silent.pop(topic)}")
         return tuple(topic for topic in self.topics.timed if topic in self._silent)
 
     def _on_part(self, eye: str, topic: str, fields: Fields) -> None:

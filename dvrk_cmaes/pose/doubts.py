@@ -121,6 +121,8 @@ def tip_out_of_view(limits: FrameLimits, outside: Sequence[bool]) -> str | None:
 
 def tips_not_accurate(error: ExpectedError, trust: TrustConfig) -> str | None:
     """Judge the probability that the tips are within the limit, by the expected error of the right mode."""
+    if not error.determined:
+        return f"{TIPS_NOT_ACCURATE}: the mask does not determine them"
     probability = tip_probability(error.of_tips_mm, trust.tip_mm)
     if probability < trust.least_probability:
         return (

@@ -87,7 +87,8 @@ def _entry(comparison: Comparison, frame: str, place: int) -> Entry:
     for k, compared in enumerate(comparison.sets):
         found = comparison.differences[k].get(frame)
         if place < _PICTURES:
-            pictures += _picture(compared.path, frame, f"{comparison.labels[k]}: {compared.path.name}")
+            own = compared.own_names.get(frame, frame)
+            pictures += _picture(compared.path, own, f"{comparison.labels[k]}: {compared.path.name}")
         if found is not None:
             status = compared.frames[frame].status or status
             what, size = ("root", found.root_mm) if found.tip_mm is None else ("tips", found.tip_mm)

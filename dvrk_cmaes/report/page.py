@@ -121,11 +121,13 @@ def session_figures(results: Sequence[Result], summary: Mapping[str, Any]) -> It
             f"95 % of it within {np.median([q.contour_px_95 for q, _ in judged]):.1f} px, "
             f"in the worst frame {max(q.contour_px_95 for q, _ in judged):.1f} px",
         )
-    tips = [(result.expected_error.tip_90_mm, result.frame) for result in results if result.expected_error is not None]
+    errors = {result.frame: result.expected_error for result in results if result.expected_error is not None}
+    tips = {frame: error.tip_90_mm for frame, error in errors.items() if error.determined}
     if tips:
-        most, where = max(tips)
-        figure = f"{np.median([tip for tip, _ in tips]):.1f} mm"
-        yield KeyFigure("Tips within (90 %), median", figure, f"at worst {most:.1f} mm ({where})")
+        widest = max(tips, key=tips.__getitem__)
+        note = f"at worst {tips[widest]:.1f} mm ({widest})"
+        note += f"; not determined in {counted(len(errors) - len(tips), 'frame')}" if len(tips) < len(errors) else ""
+        yield KeyFigure("Tips within (90 %), median", f"{np.median([*tips.values()]):.1f} mm", note)
     seconds = [result.seconds for result in results if result.seconds and result.status != "failed"]
     if seconds:
         run = (summary.get("timing") or {}).get("run") or {}

@@ -124,12 +124,17 @@ class ExpectedError(Document):
         return self.tip_mm["mean" if "mean" in self.tip_mm else "tip"]
 
     @property
+    def determined(self) -> bool:
+        """Whether the tips are stated within a distance that they can have from a wrist."""
+        return self.tip_90_mm <= _FARTHEST_MM
+
+    @property
     def in_words(self) -> str:
         """The distance within which the tips lie, for people: ``tips within 0.62 mm (90 %)``.
 
-        Where that is farther than any tip can be from a wrist, the mask has no information on the tips.
+        Where they are not determined, the mask has no information on them.
         """
-        if self.tip_90_mm > _FARTHEST_MM:
+        if not self.determined:
             return "tips not determined: the mask shows no wrist"
         given = self.tip_90_given_camera_mm
         in_camera = "" if given is None else f", {_short(given)} mm given the camera"

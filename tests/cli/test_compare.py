@@ -43,14 +43,7 @@ def test_table_has_sums_and_frames_by_size(run: Run, sets: tuple[Path, Path]) ->
     ran = run(*sets)
     assert (ran.code, ran.err) == (0, "")
     lines = [line.split() for line in ran.out.splitlines()]
-    assert next(line for line in lines if line[:2] == ["tips,", "mm"]) == [
-        "tips,",
-        "mm",
-        "1.000",
-        "3.700",
-        "4.000",
-        "0001",
-    ]
+    assert next(line[2:] for line in lines if line[:2] == ["tips,", "mm"]) == ["1.000", "3.700", "4.000", "0001"]
     assert [line[0] for line in lines if line[0] in FRAMES] == ["0001", "0002", "0000"]
 
 
@@ -58,6 +51,13 @@ def test_fewer_frames_are_shown_and_counted(run: Run, sets: tuple[Path, Path]) -
     out = run(*sets, "--frames", 1).out
     assert "and 2 frames that differ less (--frames 0 shows all)" in out
     assert "0002" in run(*sets, "--frames", 0).out
+
+
+def test_frames_of_equal_numbers_are_compared_and_named(run: Run, sets: tuple[Path, Path], tmp_path: Path) -> None:
+    again = write_results(tmp_path / "again", *(canned(f"00{name}", k) for k, name in enumerate(FRAMES)))
+    ran = run(sets[0], again, "--out", tmp_path / "out")
+    assert "B from A, 3 frames" in ran.out
+    assert "paired by their numbers: 3 frames, such as 000000 with 0000 of A" in ran.out
 
 
 def test_json_has_all_frames(run: Run, sets: tuple[Path, Path]) -> None:

@@ -153,6 +153,9 @@ def test_topics_are_silent_only_from_the_connection_on() -> None:
         assert len(robot.inputs.report_silence()) == silent
         assert len(robot.lines) == silent
     assert robot.lines[0].endswith(": no message for 1.8 s")
+    robot.send("/PSM1/measured_js", {"header": stamp(0.0), "name": ["jaw"], "position": [0.5]})
+    robot.inputs.report_silence()
+    assert robot.lines[-1] == "/PSM1/measured_js: first message"
 
 
 def test_images_without_the_masks_that_are_awaited_are_no_frames_and_no_error() -> None:

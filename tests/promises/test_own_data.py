@@ -157,7 +157,7 @@ def demo_as(folder: Path, mask: str, image: str = "{:04d}.jpg", row: str = "{:04
         ("{:04d}.jpg.png", "{:04d}.jpg", "{:04d}"),
         ("{:04d}_jpg.rf.ab12cd34_mask.png", "{:04d}_jpg.rf.ab12cd34.jpg", "{:04d}"),
         ("{:04d}_SegmentationMask.png", "{:04d}.jpg", "{:04d}"),
-        ("2024-05-01_{:05d}_seg.png", "{:04d}.jpg", "frame_{:06d}"),
+        ("mask_2024-05-01_{:05d}_seg.png", "{:04d}.jpg", "frame_{:06d}"),
         ("001/{:05d}.png", "{:04d}.jpg", "{}"),
         ("SegmentationClass/frame_{:06d}.PNG", "frame{}.JPG", "{:04d}"),
         ("left_{}.png", "clip_7_{:05d}.jpg", "{:04d}"),
@@ -167,7 +167,12 @@ def demo_as(folder: Path, mask: str, image: str = "{:04d}.jpg", row: str = "{:04
 def test_masks_images_and_rows_of_one_frame_are_found_by_their_numbers(
     tmp_path: Path, mask: str, image: str, row: str
 ) -> None:
-    found, known = read_session(demo_as(tmp_path, mask, image, row)), read_session(DEMO)
+    known, folder = read_session(DEMO), demo_as(tmp_path, mask, image, row)
+    (folder / "boxes.csv").write_text("frame,u,v\nimage_4,2,3\n")
+    (folder / "keypoints.csv").write_text("frame,tip_1_u,tip_1_v,tip_2_u,tip_2_v\n17,1,2,3,4\n")
+    found = read_session(folder)
+    assert [files.prompts is not None for files in found.frames] == [False] * 4 + [True]
+    assert "not read: keypoints.csv: none of its names or numbers is a frame's" in found.warnings
     assert [Path(image.format(k)).stem for k in range(5)] == [files.name for files in found.frames]
     for files, same in zip(found.frames, known.frames, strict=True):
         assert files.readings == same.readings

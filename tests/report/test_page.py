@@ -18,6 +18,7 @@ from dvrk_cmaes import InputError, Lag, Result
 from dvrk_cmaes.calibration.lag import LagCurve
 from dvrk_cmaes.report.page import write_page
 from dvrk_cmaes.report.template import counted_reasons
+from dvrk_cmaes.results.result import ExpectedError
 
 NAMES = ("a", "b", "c", "d", "e")
 
@@ -58,6 +59,13 @@ def test_texts_of_results_are_escaped(tmp_path: Path) -> None:
     assert not {"b", "i", "u"} & set(page.tags[page.tags.index("article") :])
     for text in words:
         assert text in page.text
+
+
+def test_tips_that_a_mask_does_not_determine_have_no_distance(tmp_path: Path) -> None:
+    errors = {"a": ExpectedError({"mean": 1.0}, {}, 1.5, 0.5), "b": ExpectedError({"mean": 900.0}, {}, 1921.0, 0.5)}
+    text = page_of(write_results(tmp_path, [result(k, expected_error=error) for k, error in errors.items()])).text
+    assert "1.5 mm at worst 1.5 mm (a); not determined in 1 frame" in text
+    assert "1921" not in text
 
 
 def test_details_of_frame(tmp_path: Path) -> None:
