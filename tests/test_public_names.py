@@ -105,10 +105,7 @@ def test_unknown_name_is_refused() -> None:
 
 # the docstrings of which the site's page is made
 
-INTERNAL = {"from_document", "ViewDocument.of", "SessionCamera.of", "SessionMasks.of"} | {
-    "SessionCalibration.model",
-    "ViewRotation.with_values",
-}
+INTERNAL = {"from_document", "ViewDocument.of", "SessionCalibration.model"}
 """Methods that take objects which users do not have."""
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
@@ -34,6 +34,9 @@ OBSERVABLE: Final = 0.9
 """Ratio of the posterior to the prior standard deviation, below which a session determines an unknown."""
 CLEAR: Final = 3.0
 """Standard deviations from the value of a file, beyond which an unknown differs from it."""
+NAMED: Final = 2.5
+"""Standard deviations from the value of a file, above which one of several unknowns is named."""
+_WEAK: Final = 50.0  # times a prior's standard deviations, where it hardly counts
 
 
 class Block:
@@ -77,13 +80,13 @@ class PredictedBlock(Block, ABC):
 
 
 class Base(PredictedBlock):
-    """The arm's base (4, 4) in the camera, m, of which nothing is known a priori; steps are in the base's axes."""
+    """The arm's base (4, 4) in the camera, known to a metre and a radian beforehand; steps are in the base's axes."""
 
     def __init__(self) -> None:
-        super().__init__(BASE, np.full(6, np.inf))
+        super().__init__(BASE, np.ones(6))
 
     def deviation(self, value: Any) -> Float64:
-        """Return zero: no base is expected."""
+        """Return zero: no base is expected, so that its prior does not move an estimate."""
         return np.zeros(6)
 
     def changed(self, value: Any, step: Float64) -> Float64:
@@ -135,7 +138,7 @@ class OutlineOfView:
 
 
 class SeenBlock(Block, ABC):
-    """A block that changes what the views show: the camera, or the masks.
+    """A block that changes what the views show: the camera, the masks, or the instrument.
 
     Parameters
     ----------
@@ -144,16 +147,25 @@ class SeenBlock(Block, ABC):
     start : (n,)
         Values from which estimates start; zero by default.
 
-    ``least_std`` (n,) are standard deviations of errors that the scatter of a session's frames does not show; by
-    default none.
+    ``known`` (n,) are the standard deviations of what is known beforehand, those of the prior by default, and ``weak``
+    (n,) those with which it is asked what the frames show by themselves. ``least_std`` (n,) are standard deviations of
+    errors that the scatter of a session's frames does not show; by default none. ``used`` is whether the session is
+    solved with the values that are found.
     """
 
-    is_linear: ClassVar[bool | tuple[bool, ...]] = False
-    """Whether the outlines are always linearised where the unknowns, all or each of them, are zero."""
+    parameters: ClassVar[tuple[str, ...]] = ()
+    """Which of the `PARAMETERS` of camera and instrument the unknowns are; by default none."""
+    is_linear: ClassVar[bool] = False
+    """Whether the outlines are always linearised where the unknowns are zero."""
+    is_alike: ClassVar[bool] = True
+    """Whether errors that all masks share widen what the frames show of it (``session.shared_errors``)."""
+    widens: ClassVar[bool] = True
+    """Whether the errors that are left of it widen the calibration."""
 
     def __init__(self, name: str, std: Float64, start: Float64 | None = None) -> None:
         super().__init__(name, std)
         self.start, self.least_std = np.zeros(len(std)) if start is None else start, np.zeros(len(std))
+        self.known, self.weak, self.used = std, _WEAK * std, False
 
     def is_plausible(self, values: Float64) -> bool:
         """Whether outlines that are linearised at some values (n,) are still near the masks; by default always."""
@@ -173,20 +185,22 @@ class SeenBlock(Block, ABC):
     def effect(self, outline: OutlineOfView) -> Float64:
         """Return the displacements (N, n) of the outline's points by the unknowns, times their normals' lengths, px."""
 
-    def stated(self, values: Float64, std: Float64) -> FoundBlock | None:
-        """State what a session finds of the unknowns (n,), which the solution leaves at zero; None of those elsewhere.
+    @abstractmethod
+    def stated(self, alone: Float64, covariance: Float64) -> tuple[FoundBlock, Float64]:
+        """State what is found of the unknowns, and return the mean square (n, n) of the errors that are left of them.
 
-        A block that states itself is tested with the camera, and its remaining error widens the calibration.
+        Values that are not used are left as errors. ``alone`` (n,) and ``covariance`` (n, n) are what the frames show
+        by themselves, without what is known beforehand.
         """
-        return None
 
 
 @dataclass(frozen=True)
 class FoundBlock(Document):
-    """What a session finds of a block that it leaves at zero: by unknown, ``values`` with prior and posterior ``std``.
+    """What a session finds of a block: by unknown, ``values`` with posterior and prior standard deviations.
 
     ``text`` says so in words, ``doubt`` by how much it contradicts a file, empty where it does not. ``applied`` is
-    whether the session was solved with the values.
+    whether the session was solved with the values, else with zero. ``moves``, a row for each unknown of the calibration
+    in the order of its covariance, is by how much this is off per unit of each of the block's.
     """
 
     axes: Texts
@@ -196,6 +210,7 @@ class FoundBlock(Document):
     text: str
     doubt: str = ""
     applied: bool = False
+    moves: tuple[tuple[Number, ...], ...] = ()
 
     @classmethod
     def of(
@@ -210,6 +225,30 @@ class FoundBlock(Document):
         """State ``each`` of values, posterior and prior standard deviations (n,); other arguments are the fields."""
         values, std, prior_std = (tuple(one.tolist()) for one in each)
         return cls(tuple(axes), values, std, prior_std, text, doubt, applied)
+
+    def moving(self, moves: Float64) -> FoundBlock:
+        """Return the same with other moves (K, n)."""
+        return replace(self, moves=tuple(map(tuple, moves.tolist())))
+
+    def after(self, change: Float64) -> FoundBlock:
+        """Return the same for a calibration that is a linear function (K', K) of this session's."""
+        return self.moving(change @ self.moves) if self.moves else self
+
+
+@dataclass(frozen=True, eq=False)
+class BlockCheck:
+    """What a session's frames show of its blocks, and what errors that are left of these do to the calibration.
+
+    ``blocks`` are what is found, without the camera where it is not tested: ``undetermined`` then says why.
+    ``covariance`` (K, K) is the mean square of the calibration's errors that errors of the blocks cause. ``errors`` (6,
+    6) is that of camera and instrument with which the session was solved, in the order of `PARAMETERS`: what it finds
+    and does not use is an error as well.
+    """
+
+    undetermined: str
+    covariance: Float64
+    errors: Float64
+    blocks: Mapping[str, FoundBlock]
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,6 +297,11 @@ class Calibration:
         return tuple(block for block in self.blocks if isinstance(block, PredictedBlock))
 
     @property
+    def seen(self) -> tuple[SeenBlock, ...]:
+        """The blocks that change what the views show."""
+        return tuple(block for block in self.blocks if isinstance(block, SeenBlock))
+
+    @property
     def own(self) -> int:
         """Number of unknowns that change what is predicted."""
         return sum(len(block.std) for block in self.predicted)
@@ -265,7 +309,7 @@ class Calibration:
     @property
     def further(self) -> Float64:
         """Values (E,) of the other unknowns, block after block."""
-        return np.concatenate([np.zeros(0), *(self.values[block.name] for block in self.blocks[len(self.predicted) :])])
+        return np.concatenate([np.zeros(0), *(self.values[block.name] for block in self.seen)])
 
     def place(self, name: str) -> slice:
         """Return where a block is among the components of a step."""

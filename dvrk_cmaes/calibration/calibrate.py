@@ -16,6 +16,7 @@ import numpy as np
 from dvrk_cmaes.calibration.blocks import BASE_AXES, OBSERVABLE, OUTER_OFFSETS
 from dvrk_cmaes.calibration.cables import SessionCables
 from dvrk_cmaes.calibration.document import Agreement, SessionCalibration
+from dvrk_cmaes.calibration.masks_and_sizes import MARGIN, covariance_of_margin
 from dvrk_cmaes.calibration.model import SessionModel, outer_readings
 from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual_insertion
 from dvrk_cmaes.calibration.session_endoscope import UNDETERMINED_ROTATION, SessionEndoscope
@@ -31,7 +32,7 @@ from dvrk_cmaes.calibration.session_frame import (
 )
 from dvrk_cmaes.calibration.session_problem import LEAST_FRAMES, ArmSession, ArmSetup
 from dvrk_cmaes.calibration.session_rig import rotations_of_session, turns_of
-from dvrk_cmaes.calibration.solve import frame_covariances, leave_one_out
+from dvrk_cmaes.calibration.solve import leave_one_out, marginalise
 from dvrk_cmaes.calibration.together import Begun, Outcome, solved_alone
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.errors import InputError
@@ -46,6 +47,7 @@ from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.pose.doubts import reading_slipped, reasons
 from dvrk_cmaes.pose.judge import exchanged_readings
+from dvrk_cmaes.pose.refine.information import times
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import prepare
@@ -187,7 +189,6 @@ def _stated(
     predicted: Mapping[str, LeaveOneOutPrediction],
 ) -> SessionCalibration:
     """State what a session that is solved shows, without doubts."""
-    assert arm.check is not None
     model, calibration, lag, settings = arm.model, arm.calibration, arm.lag, arm.setup.config
     frames = tuple(frame.name for frame in arm.frames if frame.name not in arm.left_out)
     used = [results[name] for name in frames]
@@ -197,7 +198,7 @@ def _stated(
     own = slice(len(BASE_AXES) + len(names))
     # those who expect images of the session add what errors of all masks do to what is seen there
     given_camera = arm.solution.covariance[own, own]
-    covariance = given_camera + arm.of_camera_and_masks[own, own]
+    covariance = given_camera + arm.checked.covariance[own, own]
     endoscope = SessionEndoscope.of(arm)
     return SessionCalibration(
         instrument=arm.setup.instrument.name,
@@ -215,11 +216,9 @@ def _stated(
         lag=lag.lag,
         lag_curve=lag.curve,
         cables=SessionCables.of(arm.cables),
-        camera_errors=arm.check.errors,
+        camera_errors=arm.checked.errors,
         endoscope=endoscope,
-        blocks=dict(arm.check.blocks),
-        masks=arm.masks,
-        rig=arm.rig,
+        blocks={**arm.checked.blocks, **arm.rig},
         commanded=dict(commanded),
         undetermined=_undetermined(arm, np.sqrt(np.diag(covariance)), endoscope, [*commanded]),
         remarks=_remarks(arm, used, [*commanded]),
@@ -262,7 +261,7 @@ def _remarks(arm: ArmSession, used: Sequence[Result], commanded: Sequence[str]) 
     )
     return (
         *camera_remarks(arm.stored[0]),
-        *(each.describe() for each in arm.rig if each.applied),
+        *(found.text for found in arm.rig.values() if found.applied),
         *([describe_commanded(commanded)] if commanded else []),
         *exchanged_readings(found, read, instrument),
         *arm.remarks,
@@ -301,11 +300,7 @@ def reported(arm: ArmSession) -> tuple[list[FrameReport], dict[str, str]]:
     arm.check_agreement(disagreements)
     named = zip(arm.frames, disagreements, strict=True)
     reasons = {**arm.left_out, **{frame.name: text for frame, text in named if text}}
-    assert arm.check is not None
-    covariances = frame_covariances(model, arm.outlines(keep_all=True), solution)
-    if arm.masks is not None and arm.check.of_margin is not None:
-        moved = arm.check.of_margin.of_frames
-        covariances += arm.masks.square * moved[:, :, None] * moved[:, None, :]
+    covariances = _covariances(arm)
     bases, tasks = model.base_from_root(arm.calibration.offsets), []
     for i, (frame, result, disagreement) in enumerate(zip(arm.frames, _results(arm), disagreements, strict=True)):
         task = ReportTask(
@@ -317,11 +312,24 @@ def reported(arm: ArmSession) -> tuple[list[FrameReport], dict[str, str]]:
             np.asarray(arm.fits[i].at.pose @ inverse(bases[i])),
             (*([disagreement] if disagreement else ()), *_describe_slips(model, i, setup.config.session)),
             agree=not disagreement,
-            camera_errors=arm.check.errors,
+            camera_errors=arm.checked.errors,
             brief=frame.brief,
         )
         tasks.append(task)
     return setup.run(report_task, tasks), reasons
+
+
+def _covariances(arm: ArmSession) -> Float64:
+    """Compute the covariance (N, D, D) of each frame's pose and joints, with that of the calibration and of the margin.
+
+    Axes are the changes of the root's pose in its own axes and the joints, m and rad.
+    """
+    solution, by_margin = arm.solution, np.array([fit.by_margin for fit in arm.fits])
+    frames = marginalise(arm.model, arm.outlines(keep_all=True), solution.calibration)
+    moved = frames.gain @ arm.model.jacobian(solution.calibration)
+    own = times(frames.covariance, by_margin)
+    of_margin = covariance_of_margin(arm.checked.blocks.get(MARGIN), own, moved, new=0.0)
+    return np.asarray(frames.covariance + moved @ solution.covariance @ np.swapaxes(moved, 1, 2) + of_margin)
 
 
 def _results(arm: ArmSession) -> list[Result]:

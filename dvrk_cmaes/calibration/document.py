@@ -14,7 +14,7 @@ from dvrk_cmaes.calibration.blocks import BASE_AXES, OUTER_OFFSETS, Calibration,
 from dvrk_cmaes.calibration.cables import SessionCables
 from dvrk_cmaes.calibration.endoscope import Endoscope
 from dvrk_cmaes.calibration.lag import LagCurve
-from dvrk_cmaes.calibration.masks_and_sizes import SessionMasks
+from dvrk_cmaes.calibration.masks_and_sizes import margin_taken_off
 from dvrk_cmaes.calibration.model import (
     Correction,
     Deviations,
@@ -24,7 +24,7 @@ from dvrk_cmaes.calibration.model import (
 from dvrk_cmaes.calibration.session_camera import CAMERA
 from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
 from dvrk_cmaes.calibration.session_frame import changed
-from dvrk_cmaes.calibration.session_rig import ViewRotation, turns_of
+from dvrk_cmaes.calibration.session_rig import turns_of
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.rig import V, ViewDocument, turned_views
 from dvrk_cmaes.config import CameraConfig, ReadingSigmas, __version__
@@ -49,7 +49,7 @@ from dvrk_cmaes.io.typed_document import (
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.pose.expected_error import file_covariance
 
-SCHEMA = 4
+SCHEMA = 5
 CALIBRATION_EXPECTED = "a SessionCalibration (dvrk_cmaes.read_calibration reads one)"
 """What messages about arguments say of the type."""
 _OTHERWISE = {"axes", "covariance", "covariance_given_camera", "seconds", "config"}
@@ -84,10 +84,9 @@ class SessionCalibration:
     cables : coupling, play and wander of the cables; None if offsets explain the session as well.
     camera_errors : (6, 6) covariance of camera and size with which the session was solved, by file and frames, in the
     order of `PARAMETERS`.
-    blocks : what was found of further unknowns that all frames share, by block: the camera, if it was tested, its lens
-    and the sizes of the instrument. The solution leaves them at zero but for a camera that was refined.
-    masks : the margin and the other errors that all masks share; None if they were not estimated.
-    rig : what the further views differ in from the rig's file, of those that were tested.
+    blocks : what was found of what the views show, by block: the camera, if it was tested, its lens, the margin of the
+    masks, the sizes of the instrument, and the rotation of each further view against the rig's file. The solution
+    leaves at zero what is not applied.
     views : the cameras and their places with which the session was solved; empty of frames in memory.
     endoscope : where an endoscope that moved stood, and the camera in its tip; None if it stood still. The base is then
     that at the reference place.
@@ -113,11 +112,9 @@ class SessionCalibration:
     lag_curve: LagCurve | None = None
     cables: SessionCables | None = None
     blocks: dict[str, FoundBlock] = field(default_factory=dict)
-    masks: SessionMasks | None = None
     camera_errors: SquareOfSix = field(
         default_factory=partial(file_covariance, None, CameraConfig()), metadata=SIGNIFICANT
     )
-    rig: tuple[ViewRotation, ...] = ()
     views: tuple[ViewDocument, ...] = ()
     endoscope: SessionEndoscope | None = None
     commanded: dict[str, Number] = field(default_factory=dict)
@@ -164,7 +161,7 @@ class SessionCalibration:
             The views as the cameras' files have them.
         """
         own = tuple(replace(view, camera=self.corrected(view.camera)) for view in views)
-        return turned_views(own, turns_of(self.rig))
+        return turned_views(own, turns_of(self.blocks))
 
     @property
     def predicted_iou(self) -> float:
@@ -175,6 +172,11 @@ class SessionCalibration:
     def predicted_px(self) -> float:
         """Median distance, px, of the frames' contours from what the other frames predict; 0 if none was predicted."""
         return float(np.median([one.contour_px for one in self.leave_one_out.values()] or [0.0]))
+
+    @property
+    def margin_px(self) -> float:
+        """Margin, px, that is taken off the masks."""
+        return margin_taken_off(self.blocks)
 
     @property
     def applied_lag(self) -> Lag | None:
@@ -199,8 +201,6 @@ class SessionCalibration:
             done = taken if self.lag.applied else "zero within its error, not taken out"
             yield f"lag: {self.lag.describe()}; {done}"
         yield from (block.text for block in self.blocks.values())
-        yield from (view.describe() for view in self.rig)
-        yield from (each.describe() for each in (self.masks,) if each is not None)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the calibration in the documented schema, ready for JSON."""
@@ -261,8 +261,9 @@ class SessionCalibration:
         if found.cables is not None:
             found.cables.check(where, tuple(found.offsets)[1:])
         count = len(found.whole_covariance)
-        if found.masks is not None and len(found.masks.by_margin) not in (0, count):  # none where it was not estimated
-            raise refused(where, "masks.by_margin", f"{count} numbers", found.masks.by_margin)
+        for name, block in found.blocks.items():
+            if len(block.moves) not in (0, count) or {*map(len, block.moves)} - {len(block.values)}:
+                raise refused(where, f"blocks.{name}.moves", f"{count} rows of {len(block.values)}", block.moves)
         return found
 
     def at(
@@ -299,7 +300,7 @@ class SessionCalibration:
             camera_from_base=np.asarray(endoscope.relative(values)[0] @ self.camera_from_base),
             covariance=given_camera + self.covariance - self.covariance_given_camera,
             covariance_given_camera=given_camera,
-            masks=None if self.masks is None else self.masks.after(move),
+            blocks={name: block.after(move) for name, block in self.blocks.items()},
             endoscope=None,
         )
 

@@ -6,9 +6,8 @@ and blocks, all are estimated, and that is repeated until the blocks stay where 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -37,9 +36,8 @@ from dvrk_cmaes.silhouette import Body, OutlinePoints
 
 _STEPS = 10  # largest number of Gauss-Newton steps between two estimates of the variances
 _SETTLED = 0.25  # standard deviations of the blocks, below which the outlines are not linearised again
-NAMED = 2.5
-"""Standard deviations from the value of a file, above which one of several unknowns is named."""
-_BASE_STD = 1.0, 1.0  # m and rad, of the base's prior, some of which a session may not determine
+PASSES = 6
+"""Largest number of linearisations of the outlines."""
 
 
 def outline_task(
@@ -87,7 +85,8 @@ class ArmOutlines:
     They are linearised about the poses ``at`` and the values of the ``calibration``. ``stored`` are the frames,
     ``model`` is that of their readings, ``views`` (N,) are the numbers of the views; a frame without one does not
     influence the estimate. ``run`` applies a function to many tasks. ``common`` are the errors that the frames share.
-    Of the ``blocks``, those that the calibration lacks start as `SeenBlock.start` says.
+    Of the ``blocks``, those that the calibration lacks start as `SeenBlock.start` says. ``camera`` is that of the first
+    frame in its view, as its file has it.
     """
 
     model: SessionModel
@@ -98,11 +97,7 @@ class ArmOutlines:
     run: Run[Any, Any]
     common: CommonErrors
     blocks: tuple[SeenBlock, ...]
-
-    @property
-    def camera(self) -> Camera:
-        """The camera of the first frame in its view, as its file has it."""
-        return self.stored[0].views[self.views[0] or 0].evidence.camera
+    camera: Camera
 
     def with_new_blocks(self) -> ArmOutlines:
         """Return the same with a calibration that also has the blocks, new ones at their start."""
@@ -135,88 +130,69 @@ class ArmOutlines:
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """An arm's part of a ``solution`` with blocks that are seen, from ``fits`` that were linearised near it.
-
-    ``asked`` are the blocks that have to settle.
-    """
+    """An arm's part of a ``solution`` with blocks that are seen, from ``fits`` that were linearised near it."""
 
     model: SessionModel
     solution: Solved
     fits: FrameFits
-    asked: tuple[SeenBlock, ...]
 
-    @cached_property
-    def covariance(self) -> Float64:
-        """Covariance (K, K) of the solution, with a prior of the base of a metre and a radian."""
-        return self.solution.with_information(weak(len(self.solution.information)))[1]
+    @property
+    def blocks(self) -> tuple[SeenBlock, ...]:
+        """The blocks that are seen."""
+        return self.solution.calibration.seen
+
+    @property
+    def plausible(self) -> bool:
+        """Whether the estimate is near enough for outlines that are linearised there to show the blocks."""
+        return all(one.is_plausible(self.value(one.name)) for one in self.blocks)
+
+    @property
+    def settled(self) -> bool:
+        """Whether the blocks are where they were linearised."""
+        std = np.sqrt(np.diag(self.solution.covariance))
+        return all(
+            one.is_linear
+            or (
+                np.abs(self.value(one.name) - self.fits.seen[one.name])
+                < _SETTLED * np.hypot(std[self.solution.calibration.place(one.name)], one.least_std)
+            ).all()
+            for one in self.blocks
+        )
+
+    def value(self, name: str) -> Float64:
+        """Return the values (n,) of a block."""
+        return np.asarray(self.solution.calibration.values[name])
 
     @property
     def at(self) -> Posed:
         """The N poses at the solution."""
         return self.fits.at.moved(marginalise(self.model, self.fits, self.solution.calibration).own)
 
-    @property
-    def plausible(self) -> bool:
-        """Whether the estimate is near enough for outlines that are linearised there to show the blocks."""
-        return all(one.is_plausible(self.value(one.name)) for one in self.asked)
+    def shown_of(self, block: SeenBlock) -> tuple[Float64, Float64]:
+        """Return what the frames show of a block by themselves, where others are known as beforehand: (n,) and (n, n).
 
-    @property
-    def settled(self) -> bool:
-        """Whether the blocks are where they were linearised."""
-        moved = [(np.abs(self.value(one.name) - self.fits.seen[one.name]), one) for one in self.asked]
-        return all((one.is_linear | (most < _SETTLED * self.std(one))).all() for most, one in moved)
-
-    @property
-    def information(self) -> Float64:
-        """Information matrix (K, K) of the solution with that of the base's prior."""
-        return self.solution.information + weak(len(self.solution.information))
-
-    def value(self, name: str) -> Float64:
-        """Return the values (n,) of a block."""
-        return np.asarray(self.solution.calibration.values[name])
-
-    def std(self, block: SeenBlock) -> Float64:
-        """Return the standard deviations (n,) of a block."""
-        own = np.diag(self.covariance)[self.solution.calibration.place(block.name)]
-        return np.hypot(np.sqrt(own), block.least_std)
-
-    def moved_by(self, name: str) -> Float64:
-        """Return by how much an error of a block (n,) moves the calibration, (L, n), L unknowns that are predicted."""
-        own = slice(0, self.solution.calibration.own)
-        cross = self.information[own, self.solution.calibration.place(name)]
-        return -inverse_information(self.information[own, own]) @ cross
-
-    def with_std(self, changed: Mapping[str, Float64 | float]) -> tuple[Float64, Float64]:
-        """Return what the last linearisation shows if priors have other standard deviations.
-
-        Parameters
-        ----------
-        changed
-            The standard deviations (n,) of some blocks, by name.
-
-        Returns
-        -------
-        ((K,), (K, K))
-            The unknowns as changes, with the values of what is seen, and their covariance.
+        These are its values, and their covariance.
         """
-        calibration, more = self.solution.calibration, np.zeros(len(self.covariance))
-        for name, std in changed.items():
-            place = calibration.place(name)
-            more[place] = np.square(std) ** -1.0 - np.diag(calibration.information)[place]
-        inverse, covariance = self.solution.with_information(weak(len(more)) + np.diag(more))
-        values = np.concatenate([np.zeros(calibration.own), calibration.further])
-        return values - inverse @ (more * values), covariance
+        stds = {one.name: one.weak if one.name == block.name else one.known for one in self.blocks}
+        calibration, covariance = self.solution.with_std(stds)
+        place = calibration.place(block.name)
+        return np.asarray(calibration.values[block.name]), covariance[place, place]
+
+    def moved_by(self, block: SeenBlock) -> Float64:
+        """Return by how much the calibration is off per unit of a block, (L, n), L unknowns that are predicted."""
+        calibration, information = self.solution.calibration, self.solution.information
+        own = slice(0, calibration.own)
+        return inverse_information(information[own, own]) @ information[own, calibration.place(block.name)]
 
 
 def linearise(
     arms: Sequence[ArmOutlines],
     config: SessionConfig,
-    names: Sequence[str],
     *,
-    passes: int,
+    passes: int = PASSES,
     first: Sequence[FrameFits] | None = None,
 ) -> list[Linearised]:
-    """Estimate blocks with the calibrations of arms, linearising the outlines until those of some names are settled.
+    """Estimate blocks with the calibrations of arms, linearising the outlines until all blocks are settled.
 
     Parameters
     ----------
@@ -224,8 +200,6 @@ def linearise(
         The frames of each arm, and their outlines.
     config
         Settings of the variance components, which are estimated with the blocks.
-    names
-        Names of the blocks that have to settle.
     passes
         Largest number of linearisations.
     first
@@ -237,12 +211,10 @@ def linearise(
         As `ArmOutlines.linearised`.
     """
     arms, fits = [arm.with_new_blocks() for arm in arms], first
-    asked = [tuple(one for one in arm.blocks if one.name in names) for arm in arms]
     for _ in range(passes):
         fits = [arm.linearised() for arm in arms] if fits is None else fits
         frames = [ArmFrames(arm.model, own, arm.calibration) for arm, own in zip(arms, fits, strict=True)]
-        models, solutions = solve_with_variances(frames, config, steps=_STEPS)
-        last = list(map(Linearised, models, solutions, fits, asked))
+        last = list(map(Linearised, *solve_with_variances(frames, config, steps=_STEPS), fits))
         if all(one.settled for one in last) or not all(one.plausible for one in last):
             break
         arms = [
@@ -251,11 +223,6 @@ def linearise(
         ]
         fits = None
     return last
-
-
-def weak(count: int) -> Float64:
-    """Return an information matrix (K, K), K = ``count``, of a base that is hardly known."""
-    return np.diag(np.array([_BASE_STD[0] ** -2] * 3 + [_BASE_STD[1] ** -2] * 3 + [0.0] * (count - 6)))
 
 
 def with_prior(alone: Float64, covariance: Float64, std: Float64) -> tuple[Float64, Float64]:

@@ -1,4 +1,4 @@
-"""What a session's frames show of two unknowns besides the camera: the margin of the masks, and the instrument's sizes.
+"""What a session's frames show besides the camera: the margin of the masks, and the instrument's sizes.
 
 In a single frame a margin by which its mask is too wide or too narrow looks like a shorter distance. In a session
 the arm moves along the optical axis by amounts that its joints state, and a margin makes near and far shafts wider by
@@ -11,45 +11,45 @@ the camera's file is right.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from dataclasses import replace
+from typing import ClassVar, Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.blocks import CLEAR, Calibration, FoundBlock, OutlineOfView, SeenBlock, ViewAsSeen
-from dvrk_cmaes.calibration.linearise import ArmOutlines, Linearised, linearise, with_mixture
-from dvrk_cmaes.calibration.solve import marginalise
-from dvrk_cmaes.config import CameraConfig, SessionConfig
-from dvrk_cmaes.geometry import Float64, Posed, apply
+from dvrk_cmaes.calibration.blocks import CLEAR, FoundBlock, OutlineOfView, SeenBlock, ViewAsSeen
+from dvrk_cmaes.calibration.linearise import with_mixture, with_prior
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.geometry import Float64, apply
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.io.encode import Document
-from dvrk_cmaes.io.typed_document import Number
 from dvrk_cmaes.pose.doubts import OTHER_SIZES
 from dvrk_cmaes.pose.terms.coverage import of_margin
 from dvrk_cmaes.pose.terms.shared_errors import NEAREST
-from dvrk_cmaes.silhouette import OutlinePoints
 
 MARGIN: Final = "margin"
 """Name of the block."""
 
 _STD, _WIDE_SHARE = 1.0, 0.2  # px, of the prior, and the share of segmenters with it
 _USUAL_STD = 0.05  # px, the same of the others, in images 640 px wide; recordings of `fleet.py make` show no more
-_FREE = 100.0  # px, of a prior that does not count
 _LEAST_STD = 0.12  # px; margins of parts of one real recording, 0.57 to 1.11, scatter by this and their errors
-_PASSES = 5  # largest number of linearisations
-_HELD = 1e-3  # of the prior standard deviations of a camera that is held at its file
-_MARGIN_PX = 0.08  # of all masks, beyond what the keyframes determine: rounded corners, a segmenter's threshold
+NEW_MASK = 0.08
+"""Standard deviation, px, of the margin of a new mask, beyond what a session determines: a segmenter's threshold."""
 
 
 class MaskMargin(SeenBlock):
-    """The margin (1,), px, by which a segmenter makes all masks too wide, from where estimates ``start``."""
+    """The margin (1,), px, by which a segmenter makes all masks too wide, from where estimates ``start``.
+
+    ``used`` is whether the session is solved with masks less the margin; ``pixel_scale`` is that of the camera.
+    """
 
     shared = True
+    is_alike = False
 
-    def __init__(self, start: float = 0.0) -> None:
+    def __init__(self, pixel_scale: float, start: float, *, used: bool) -> None:
         super().__init__(MARGIN, np.array([_STD]), np.array([start]))
-        self.least_std = np.array([_LEAST_STD])
+        self.least_std, self.used, self._usual = np.array([_LEAST_STD]), used, np.array([_USUAL_STD * pixel_scale])
 
     def seen(self, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
         """Return a view whose mask has the margin."""
@@ -59,126 +59,54 @@ class MaskMargin(SeenBlock):
         """Return the displacements of an outline's points by the margin."""
         return of_margin(outline.points)[:, None]
 
-
-class MarginEffect(NamedTuple):
-    """What a margin of all masks does, per px: to the K unknowns of a calibration (K,), and to N frames' poses (N, D).
-
-    ``px`` and ``std_px`` are the margin that the same outlines show.
-    """
-
-    px: float
-    std_px: float
-    of_calibration: Float64
-    of_frames: Float64
-
-    @classmethod
-    def of(cls, there: Linearised) -> MarginEffect:
-        """Return it by outlines that were linearised with the margin among the blocks."""
-        calibration, count = there.solution.calibration, there.solution.calibration.own
-        place, of_calibration = calibration.place(MARGIN), -there.moved_by(MARGIN)
-        frames = marginalise(there.model, there.fits, calibration)
-        by_all = frames.gain @ there.model.jacobian(calibration)
-        of_frames = by_all[:, :, :count] @ of_calibration - by_all[:, :, place]
-        std = np.hypot(np.sqrt(there.covariance[place, place].item()), _LEAST_STD)
-        return cls(there.value(MARGIN).item(), float(std), of_calibration[:, 0], of_frames[:, :, 0])
-
-    def stated(self, masks: SessionMasks | None) -> SessionMasks:
-        """Return what is stated of the masks with this effect, whose margin is left as it is where none is stated."""
-        known = SessionMasks(self.px, self.std_px, applied=False) if masks is None else masks
-        return replace(known, by_margin=tuple(self.of_calibration.tolist()))
+    def stated(self, alone: Float64, covariance: Float64) -> tuple[FoundBlock, Float64]:
+        """State the margin, whose prior is a mixture."""
+        priors = (1 - _WIDE_SHARE, self._usual), (_WIDE_SHARE, self.std)
+        mean, square = with_mixture(alone, covariance + _LEAST_STD**2, priors)
+        px, std = mean.item(), np.sqrt(np.diag(square) - mean**2)
+        than, done = "wide" if px > 0 else "narrow", "taken off" if self.used else "left as they are"
+        text = f"masks are {abs(px):.2f} px (std {std.item():.2f}) too {than} all round; {done}"
+        found = FoundBlock.of((MARGIN,), (mean, std, self.std), text, applied=self.used)
+        return found, square_left(found)
 
 
-@dataclass(frozen=True)
-class SessionMasks(Document):
-    """What a session's frames determine of the margin of its masks.
-
-    margin_px : by how much the masks are too wide all round; negative if too narrow. std_margin_px : its standard
-    deviation. applied : whether the session was solved with masks less this margin. In a session of several views it is
-    estimated in the first one.
-    by_margin : what the margin, per px, does to the calibration, in the order of its covariance.
-    """
-
-    margin_px: Number
-    std_margin_px: Number
-    applied: bool
-    by_margin: tuple[Number, ...] = ()
-
-    @property
-    def square(self) -> float:
-        """Mean square, px^2, of the margin that is left on masks of this session."""
-        return self.std_margin_px**2 + (self.margin_px - self.taken_off) ** 2
-
-    @property
-    def taken_off(self) -> float:
-        """Margin, px, that was taken off the masks."""
-        return self.margin_px if self.applied else 0.0
-
-    def after(self, change: Float64) -> SessionMasks:
-        """Return the same for a calibration that is a linear function (K', K) of this session's.
-
-        Parameters
-        ----------
-        change
-            The matrix of that function.
-        """
-        return replace(self, by_margin=tuple((change @ self.by_margin).tolist())) if self.by_margin else self
-
-    def describe(self) -> str:
-        """Describe the margin in words."""
-        than, done = "wide" if self.margin_px > 0 else "narrow", "taken off" if self.applied else "left as they are"
-        return f"masks are {abs(self.margin_px):.2f} px (std {self.std_margin_px:.2f}) too {than} all round; {done}"
+def square_left(margin: FoundBlock) -> Float64:
+    """Return the mean square (1, 1), px^2, of a margin that is left on masks of its session."""
+    return np.square([margin.std]) + (0.0 if margin.applied else np.square([margin.values]))
 
 
-def estimate_margin(
-    arms: Sequence[ArmOutlines], config: SessionConfig
-) -> tuple[SessionMasks, list[tuple[Calibration, Posed]]]:
-    """Estimate the margin of the masks with the calibrations and the camera, whose file counts as a measurement.
-
-    Arguments are as in `linearise`; the outlines are those of one view, with the margin among their blocks. Also
-    returns the calibration and the poses (N) of each arm with masks less the margin and the camera of the file: a
-    change of the camera that is estimated jointly with the margin is not used.
-    """
-    there, moved = linearise(arms, config, [MARGIN], passes=_PASSES), []
-    place, camera = there[0].solution.calibration.place(MARGIN), arms[0].camera
-    shown, spread = there[0].with_std({MARGIN: _FREE})
-    priors = (1 - _WIDE_SHARE, np.array([_USUAL_STD * camera.pixel_scale])), (_WIDE_SHARE, np.array([_STD]))
-    mean, square = with_mixture(shown[place], spread[place, place] + _LEAST_STD**2, priors)
-    px, std = mean.item(), float(np.sqrt(square.item() - mean.item() ** 2))
-    for one, arm in zip(there, arms, strict=True):
-        held = {block.name: _HELD * block.std for block in arm.blocks if block.name != MARGIN}
-        at_file = one.solution.calibration
-        at_file = at_file.changed(one.with_std(held)[0] - np.append(np.zeros(at_file.own), at_file.further))
-        poses = marginalise(one.model, one.fits, at_file).own
-        moved.append((at_file.alone(), one.fits.at.moved(poses)))
-    return SessionMasks(px, std, applied=True), moved
+def margin_taken_off(blocks: Mapping[str, FoundBlock]) -> float:
+    """Return the margin, px, that is taken off the masks of a session with these blocks."""
+    margin = blocks.get(MARGIN)
+    return margin.values[0] if margin is not None and margin.applied else 0.0
 
 
-def covariance_of_margin(masks: SessionMasks | None, own: Float64, by_calibration: Float64 | None = None) -> Float64:
-    """Return the covariance (D, D) of a pose by the margin of all masks of a session.
+def covariance_of_margin(
+    margin: FoundBlock | None, own: Float64, by_calibration: Float64 | None = None, *, new: float = NEW_MASK
+) -> Float64:
+    """Return the covariances (..., D, D) of poses by the margin of all masks of a session.
 
     Parameters
     ----------
-    masks
+    margin
         What the session determines of the margin; None where it was not estimated.
-    own : (D,)
-        Change of the pose by the margin of its own mask, px, given the calibration.
-    by_calibration : (D, K)
-        Changes of the pose with the calibration, which the same margin has moved; None if it does not rest on one.
+    own : (..., D)
+        Changes of the poses by the margin of their own masks, px, given the calibration.
+    by_calibration : (..., D, K)
+        Changes of the poses with the calibration, which the same margin has moved; None if they do not rest on one.
+    new
+        Standard deviation of a further margin, px; zero for the masks of the session itself.
     """
-    square, moves = _MARGIN_PX**2, own
-    if masks is not None:
-        square += masks.square
-        if by_calibration is not None and masks.by_margin:
-            moves = own + by_calibration @ masks.by_margin
-    return np.asarray(square * np.outer(moves, moves))
+    square, moves = new**2, own
+    if margin is not None:
+        square += square_left(margin).item()
+        if by_calibration is not None and margin.moves:
+            moves = own + (by_calibration @ margin.moves)[..., 0]
+    return np.asarray(square * moves[..., :, None] * moves[..., None, :])
 
-
-SIZES = "sizes"
-"""Name of the block."""
 
 _PART_STD = 0.01  # of the logarithms, of parts of tools of one kind
-_WIDE = np.array([_PART_STD, _PART_STD, _PART_STD, 0.05])  # where the outlines are linearised
-_WEAK_SIZE = 0.5  # of the same where it is asked which tool is there
+_WIDE, _WEAK_SIZE = 0.05, 0.5  # of that of the whole, where outlines are linearised; where it is asked what is there
 _LEAST: Final = {"radius": 0.02, "wrist": 0.04, "jaws": 0.04, "whole": 0.02}
 """Shares of the sizes, beyond which whole or part is another one.
 
@@ -194,64 +122,95 @@ _TEXTS: Final = {
 }
 
 
-def usual_sizes(config: CameraConfig) -> Float64:
-    """Return the standard deviations (4,) of the logarithms that tools of one kind have."""
-    return np.array([_PART_STD] * 3 + [config.instrument_size_percent / 100])
+class Sizes(SeenBlock):
+    """Logarithms (n,) of factors on ``sizes`` of the instrument; nothing is known of one that it lacks."""
 
+    is_alike = widens = False
+    sizes: ClassVar[tuple[str, ...]]
 
-class InstrumentSizes(SeenBlock):
-    """The logarithms (4,) of factors on shaft's radius, length from wrist to jaws' axis, jaws' length, and the whole.
-
-    Only the whole is drawn with the size that is estimated. Nothing is known of a size that the instrument lacks.
-    """
-
-    is_linear = True, True, True, False
-
-    def __init__(self, instrument: Instrument) -> None:
-        super().__init__(SIZES, _WIDE)
+    def __init__(self, name: str, std: float, known: float, instrument: Instrument) -> None:
+        super().__init__(name, np.full(len(self.sizes), std))
+        self.known, self.weak = np.full(len(self.sizes), known), np.full(len(self.sizes), _WEAK_SIZE)
         self._instrument = instrument
 
-    def seen(self, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
-        """Return a view of an instrument that is larger as a whole."""
-        return replace(by, scale=by.scale * float(np.exp(values[-1])))
+    @abstractmethod
+    def moves(self, outline: OutlineOfView, in_root: Float64) -> Sequence[Float64]:
+        """Return the moves (N, 3), m, by each of the sizes, of an outline's points (N, 3) in the root's frame."""
 
     def effect(self, outline: OutlineOfView) -> Float64:
         """Return the displacements of the outline's points by each of the sizes."""
-        view, points = outline.view, outline.points
-        seen = outline.at.seen_from(view.view.view_from_camera)
-        poses = self._instrument.forward(seen.joints)[points.link]
-        in_root = (poses[:, :3, :3] @ points.points[:, :, None])[..., 0] + poses[:, :3, 3]
-        depth = np.maximum(apply(seen.pose, in_root)[:, 2], NEAREST)
-        out = np.zeros((len(depth), len(_LEAST)))
-        if self._instrument.shaft is not None:
-            sides = view.sides_of_shaft(points, outline.at).sum(axis=1)
-            length = np.linalg.norm(points.normals, axis=1)
-            out[:, 0] = sides * length * view.camera.fx * self._instrument.shaft.radius / depth
-        for k, moves in enumerate((*self._moves(points, in_root, seen), in_root), start=1):
-            by_size = moves @ seen.pose[:3, :3].T
-            across = by_size[:, :2] - by_size[:, 2:] * (apply(seen.pose, in_root)[:, :2] / depth[:, None])
-            out[:, k] = (points.normals * across * [view.camera.fx, view.camera.fy]).sum(axis=1) / depth
-        return out
+        points, camera = outline.points, outline.view.camera
+        seen = outline.at.seen_from(outline.view.view.view_from_camera)
+        in_root = apply(self._instrument.forward(seen.joints)[points.link], points.points[:, None])[:, 0]
+        placed, by_size = apply(seen.pose, in_root), np.stack(self.moves(outline, in_root)) @ seen.pose[:3, :3].T
+        depth = np.maximum(placed[:, 2:], NEAREST)
+        across = (by_size[..., :2] - by_size[..., 2:] * placed[:, :2] / depth) * [camera.fx, camera.fy] / depth
+        return np.asarray((points.normals * across).sum(axis=2).T)
 
-    def _moves(self, points: OutlinePoints, in_root: Float64, seen: Posed) -> tuple[Float64, Float64]:
-        """Return the moves of points (N, 3) in the root's frame, m, by the wrist's length and by the jaws'."""
-        body = self._instrument
-        hinges = body.hinges
-        by_wrist, by_jaws = np.zeros_like(in_root), np.zeros_like(in_root)
-        if not hinges:
-            return by_wrist, by_jaws
-        first, last = body.chain.forward(seen.joints, [hinges[0], hinges[-1]])[:, :3, 3]
+    def stated(self, alone: Float64, covariance: Float64) -> tuple[FoundBlock, Float64]:
+        """State the sizes that the frames fit, which are a doubt where they are those of another instrument."""
+        std, parts, doubts = np.sqrt(np.diag(covariance)), [], []
+        for part, value, spread in zip(self.sizes, alone.tolist(), std.tolist(), strict=True):
+            (what, more, less), off, own = _TEXTS[part], 100 * np.expm1(value), 100 * np.exp(value) * spread
+            parts.append(f"{part} {off:+z.1f} % (std {own:.1f})")
+            if abs(off) > max(100 * _LEAST[part], CLEAR * own):
+                than = more if off > 0 else less
+                doubts.append(f"{what} {abs(off):.0f} % (std {own:.0f}) {than} than the instrument's")
+        text, doubt = f"sizes of the instrument: {', '.join(parts)}", f"{' and '.join(doubts)}: {OTHER_SIZES}"
+        mean, left = with_prior(alone, covariance, self.known)
+        found = FoundBlock.of(self.sizes, (alone, std, self.weak), text, doubt if doubts else "")
+        return found, left + np.outer(mean, mean)
+
+
+class PartSizes(Sizes):
+    """Sizes of the instrument's parts: the shaft's radius, the length from the wrist's to the jaws' axis, the jaws'."""
+
+    is_linear = True
+    sizes = ("radius", "wrist", "jaws")
+
+    def __init__(self, config: EstimateConfig, instrument: Instrument, camera: Camera) -> None:
+        super().__init__("parts", _PART_STD, _PART_STD, instrument)
+
+    def moves(self, outline: OutlineOfView, in_root: Float64) -> Sequence[Float64]:
+        """Return the moves of the points by each of the sizes, which are zero by one of a part that they are not on."""
+        body, joints, links = self._instrument, outline.at.joints, outline.points.link
+        by_radius, by_wrist, by_jaws = (np.zeros_like(in_root) for _ in self.sizes)
+        if (shaft := body.shaft) is not None:
+            sides = outline.view.sides_of_shaft(outline.points, outline.at).any(axis=1)
+            off = in_root[sides] - shaft.point
+            by_radius[sides] = off - (off @ shaft.direction)[:, None] * shaft.direction
+        if not (hinges := body.hinges):
+            return by_radius, by_wrist, by_jaws
+        first, last = body.chain.forward(joints, [hinges[0], hinges[-1]])[:, :3, 3]
         tips = [tip.link for tip in body.jaw_tips] or [len(body.links) - 1]
-        ends = dict(zip(tips, body.ends(seen.joints), strict=True))
+        ends = dict(zip(tips, body.ends(joints), strict=True))
         for link, joint in enumerate(body.link_joints):
-            own, path = points.link == link, body.chain.path(joint)
+            own, path = links == link, body.chain.path(joint)
             if hinges[-1] in path:
                 by_wrist[own] = last - first
                 if link in ends:
                     by_jaws[own] = _stretched(in_root[own], last, ends[link])
             elif hinges[0] in path:
                 by_wrist[own] = _stretched(in_root[own], first, last)
-        return by_wrist, by_jaws
+        return by_radius, by_wrist, by_jaws
+
+
+class WholeSize(Sizes):
+    """The size (1,) of the whole instrument, which is drawn with the one that is estimated."""
+
+    parameters = ("instrument_size",)
+    sizes = ("whole",)
+
+    def __init__(self, config: EstimateConfig, instrument: Instrument, camera: Camera) -> None:
+        super().__init__("size", _WIDE, config.camera.instrument_size_percent / 100, instrument)
+
+    def seen(self, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
+        """Return a view of a larger instrument."""
+        return replace(by, scale=by.scale * float(np.exp(values[0])))
+
+    def moves(self, outline: OutlineOfView, in_root: Float64) -> Sequence[Float64]:
+        """Return the moves of the points, which are away from the root."""
+        return (in_root,)
 
 
 def _stretched(points: Float64, start: Float64, end: Float64) -> Float64:
@@ -259,36 +218,3 @@ def _stretched(points: Float64, start: Float64, end: Float64) -> Float64:
     along = end - start
     share = (points - start) @ along / max(float(along @ along), NEAREST**2)
     return np.clip(share, 0.0, 1.0)[:, None] * along
-
-
-def found_sizes(there: Linearised, known: Mapping[str, Float64 | float]) -> FoundBlock:
-    """State the sizes that the frames fit: radius, wrist and jaws of an instrument whose whole is known, and the whole.
-
-    Parameters
-    ----------
-    there
-        Outlines that were linearised in the sizes.
-    known
-        Standard deviations of priors, also of the sizes, by block.
-    """
-    place, of_whole = there.solution.calibration.place(SIZES), np.array([name == "whole" for name in _LEAST])
-    values, std = np.zeros(len(_LEAST)), np.zeros(len(_LEAST))
-    for asked in (~of_whole, of_whole):
-        found, covariance = there.with_std({**known, SIZES: np.where(asked, _WEAK_SIZE, known[SIZES])})
-        values[asked], std[asked] = found[place][asked], np.sqrt(np.diag(covariance)[place])[asked]
-    parts, doubts = [], []
-    for (part, least), value, spread in zip(_LEAST.items(), values.tolist(), std.tolist(), strict=True):
-        (what, more, less), off, own = _TEXTS[part], 100 * np.expm1(value), 100 * np.exp(value) * spread
-        parts.append(f"{part} {off:+z.1f} % (std {own:.1f})")
-        if abs(off) > max(100 * least, CLEAR * own):
-            than = more if off > 0 else less
-            doubts.append(f"{what} {abs(off):.0f} % (std {own:.0f}) {than} than the instrument's")
-    text, doubt = f"sizes of the instrument: {', '.join(parts)}", f"{' and '.join(doubts)}: {OTHER_SIZES}"
-    return FoundBlock.of(tuple(_LEAST), (values, std, np.full(len(_LEAST), _WEAK_SIZE)), text, doubt if doubts else "")
-
-
-def square_of_whole(found: FoundBlock, std: float) -> float:
-    """Return the mean square of the error of the log of the whole size, whose prior has a deviation ``std``."""
-    value, own = found.values[-1], found.std[-1]
-    share = std**2 / (std**2 + own**2)
-    return (share * value) ** 2 + share * own**2

@@ -13,7 +13,7 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Endoscope
 from dvrk_cmaes.calibration.frame_fit import FrameFit, OwnEstimate, fit_frame
 from dvrk_cmaes.calibration.lag import lag_taken_out
-from dvrk_cmaes.calibration.masks_and_sizes import covariance_of_margin
+from dvrk_cmaes.calibration.masks_and_sizes import MARGIN, covariance_of_margin
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Bool, Float64, Posed, inverse
@@ -236,8 +236,7 @@ def fit_session_pose(
         return f"session: no reading of {', '.join(missing)}: searched without it"
     predicted = Prediction.of(session, outer, readings.values[None], instrument.joint_names)
     expected = Expected.of(predicted.at[0], predicted.spread[0])
-    margin = 0.0 if session.masks is None else session.masks.taken_off
-    refined = partial(fit_frame, views, config, expected, margin=margin)
+    refined = partial(fit_frame, views, config, expected, margin=session.margin_px)
     first, _ = refined((predicted.at[0],), None)
     fit, _ = refined((first.at,), OwnEstimate.of(views, first.at))
     of_views, rays = measure_views(views, readings, Posed.stacked([fit.at]), config)
@@ -271,4 +270,4 @@ def _covariance(fit: FrameFit, expected: Expected, session: SessionCalibration, 
     """Return the covariance (D, D) of a fit of the only predicted frame, with the margin of its session's masks."""
     alone = np.asarray(np.linalg.inv(fit.information + expected.information), dtype=np.float64)
     by_calibration = alone @ expected.information @ predicted.jacobian[0]
-    return alone + covariance_of_margin(session.masks, alone @ fit.by_margin, by_calibration)
+    return alone + covariance_of_margin(session.blocks.get(MARGIN), alone @ fit.by_margin, by_calibration)

@@ -10,29 +10,20 @@ axis.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.blocks import CLEAR, FoundBlock, OutlineOfView, SeenBlock, ViewAsSeen
-from dvrk_cmaes.calibration.linearise import (
-    NAMED,
-    ArmOutlines,
-    Linearised,
-    distance,
-    linearise,
-    with_mixture,
-    with_prior,
-)
-from dvrk_cmaes.calibration.masks_and_sizes import SIZES, MarginEffect, found_sizes, square_of_whole, usual_sizes
+from dvrk_cmaes.calibration.blocks import CLEAR, NAMED, FoundBlock, OutlineOfView, SeenBlock, ViewAsSeen
+from dvrk_cmaes.calibration.linearise import distance, with_mixture, with_prior
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.session_frame import changed
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import CameraConfig, EstimateConfig
-from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64
+from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.expected_error import PARAMETERS, displacements, file_covariance
 
 CAMERA, LENS = "camera", "lens"
@@ -40,12 +31,10 @@ CAMERA, LENS = "camera", "lens"
 
 TESTED: Final = ("focal_length", "centre_right", "centre_down")
 """Which of the parameters of a camera are the three unknowns."""
-_OF_LENS: Final = ("aspect", "radial")
 _LENS_CAUSES: Final = "images that were stretched, --rectified with raw images or left out, or the file of another lens"
 _WEAK_STD = np.array([0.3, 0.29, 0.29])  # of the change where it is estimated from the frames
 PLAUSIBLE = 2.0  # of these; linearised farther away, outlines leave the image
-_PASSES, _FILE_PASSES = 6, 3  # largest numbers of linearisations of the outlines, also where the file is a measurement
-_LEAST_FRAMES, _MANY_FRAMES = 6, 10
+_MANY_FRAMES = 10
 _LEAST_INSERTION = 5e-3  # m, range of the readings
 _CONTRADICTION = 16.27  # squared distance from no change, of 99.9 % with three unknowns
 _WRONG_SHARE, _WRONG_STD = 0.05, 10.0
@@ -57,7 +46,6 @@ IMPLAUSIBLE = (
 """Why a session does not determine its camera: the estimate is too far away for outlines that were linearised here."""
 
 _LENS_PLAUSIBLE = (0.5, 3.0)  # of both errors of a lens; outlines that were linearised say nothing of larger ones
-_NOT_ASKED = "camera: not tested, as the settings say"
 _CAUSES = (
     "a calibration of another zoom, focus, endoscope or crop of the image, or --rectified left out; a tool or arm of "
     "another length has a similar effect"
@@ -65,26 +53,35 @@ _CAUSES = (
 
 
 class CameraErrors(SeenBlock):
-    """Errors of some of a camera's ``parameters``, in the units of `PARAMETERS`; other arguments as of `SeenBlock`."""
-
-    def __init__(self, name: str, parameters: Sequence[str], std: Float64, start: Float64 | None = None) -> None:
-        super().__init__(name, std, start)
-        self.parameters = parameters
+    """Errors of some of a camera's ``parameters``, in their units."""
 
     def effect(self, outline: OutlineOfView) -> Float64:
         """Return the displacements of an outline's points by the errors."""
         camera, pixels = outline.view.camera, outline.points.pixels
-        moved = displacements(camera, pixels, camera.normalise(pixels))[:, :, _places(self.parameters)]
+        moved = displacements(camera, pixels, camera.normalise(pixels))[:, :, places_of(self.parameters)]
         return np.asarray(np.einsum("nk,nkp->np", outline.points.normals, moved))
 
 
 class CameraChange(CameraErrors):
-    """The change (3,) of all cameras, by default with a wide prior; arguments as of `SeenBlock`."""
+    """The change (3,) of all cameras, against the file of one.
+
+    Parameters
+    ----------
+    config, camera
+        Settings, and the camera as its file has it.
+    change
+        The change (3,) with which the session is solved so far; None where it is not to be changed.
+    wide
+        Whether it has a wide prior instead of the file.
+    """
 
     shared = True
+    parameters = TESTED
 
-    def __init__(self, std: Float64 | None = None, start: Float64 | None = None) -> None:
-        super().__init__(CAMERA, TESTED, _WEAK_STD if std is None else std, start)
+    def __init__(self, config: EstimateConfig, camera: Camera, change: Float64 | None, *, wide: bool) -> None:
+        file = file_deviations(camera, config.camera, TESTED)
+        super().__init__(CAMERA, _WEAK_STD if wide else file, change)
+        self.known, self.weak, self.used, self._camera = file, _WEAK_STD, change is not None, camera
 
     def is_plausible(self, values: Float64) -> bool:
         """Whether the outlines are not likely to have left the image."""
@@ -94,20 +91,27 @@ class CameraChange(CameraErrors):
         """Return a view with the changed camera."""
         return replace(by, camera=changed(by.camera, values))
 
+    def stated(self, alone: Float64, covariance: Float64) -> tuple[FoundBlock, Float64]:
+        """State the change with which the session is solved, or what the frames show and the file."""
+        change = self.start if self.used else alone
+        found = stated_camera(change, covariance, self.known, self._camera, applied=self.used)
+        return found, covariance if self.used else _mean_square(change, covariance, self.known)
+
 
 class Lens(CameraErrors):
     """The errors (2,) of a camera file: of log (fy / fx), and of the first radial coefficient."""
 
     is_linear = True
+    parameters = ("aspect", "radial")
 
-    def __init__(self, config: EstimateConfig, camera: Camera) -> None:
-        super().__init__(LENS, _OF_LENS, file_deviations(camera, config.camera, _OF_LENS))
-        self._shared = config.session.shared_errors
+    def __init__(self, config: EstimateConfig, instrument: Instrument, camera: Camera) -> None:
+        super().__init__(LENS, file_deviations(camera, config.camera, self.parameters))
 
-    def stated(self, values: Float64, std: Float64) -> FoundBlock:
+    def stated(self, alone: Float64, covariance: Float64) -> tuple[FoundBlock, Float64]:
         """State both, and what the frames alone show of them where that contradicts the file."""
-        gained = np.maximum(std**-2 - self.std**-2, 1e-12)
-        alone, spread = values * (1 + self.std**-2 / (self._shared**2 * gained)), 1 / np.sqrt(gained)
+        spread = np.sqrt(np.diag(covariance))
+        values, left = with_prior(alone, covariance, self.std)
+        std = np.sqrt(np.diag(left))
         off = np.where(np.abs(alone) < _LENS_PLAUSIBLE, np.abs(alone) / np.hypot(spread, self.std), 0.0)
         texts = [
             f"fy / fx {100 * alone[0]:+z.1f} % (std {100 * spread[0]:.1f}) off",
@@ -119,7 +123,8 @@ class Lens(CameraErrors):
         )
         stated = f"lens: fy / fx {100 * values[0]:+z.2f} % (std {100 * std[0]:.2f}), radial {values[1]:+z.3f}"
         text = f"{stated} (std {std[1]:.3f})"
-        return FoundBlock.of(self.parameters, (values, std, self.std), text, doubt if clear else "")
+        found = FoundBlock.of(self.parameters, (values, std, self.std), text, doubt if clear else "")
+        return found, left + np.outer(values, values)
 
 
 def stated_camera(change: Float64, covariance: Float64, file: Float64, camera: Camera, *, applied: bool) -> FoundBlock:
@@ -190,104 +195,6 @@ def camera_undetermined(model: SessionModel, least: int = _MANY_FRAMES, purpose:
     return None
 
 
-@dataclass(frozen=True, eq=False)
-class CameraCheck:
-    """What a session's frames show about the camera, and what errors of the camera do to the calibration.
-
-    ``blocks`` are what is found of the camera, where it is tested, else ``undetermined`` says why it is not, of the
-    sizes, and of those that state themselves (`SeenBlock.stated`). ``covariance`` (K, K) is the mean square of the
-    calibration's errors that errors of the camera cause. ``errors`` (6, 6) is that of what the session was solved with,
-    in the order of `PARAMETERS`: what it finds and does not correct is an error as well. ``of_margin`` is what a margin
-    of the masks does with the camera of the file; None where the camera cannot be changed.
-    """
-
-    undetermined: str
-    covariance: Float64
-    errors: Float64
-    of_margin: MarginEffect | None = None
-    blocks: Mapping[str, FoundBlock] = field(default_factory=dict)
-
-
-def check_camera(
-    arms: Sequence[ArmOutlines], config: EstimateConfig, *, applied: Float64 | None = None
-) -> list[CameraCheck]:
-    """Test the camera and the instrument's sizes in a calibrated session; returns what each arm has of it.
-
-    ``applied`` is the change (3,) of the camera with which the frames were fitted, with which the block starts; None if
-    they were fitted with the file's. Where an estimate is not plausible, only what the frames show at the camera of
-    the file is left, which may contradict it or say nothing.
-    """
-    reasons = [camera_undetermined(arm.model, _LEAST_FRAMES, "test") for arm in arms]
-    reason = None if None in reasons else reasons[0]
-    if not config.session.test_camera and applied is None:
-        reason = _NOT_ASKED
-    passes = _PASSES if reason is None and applied is None else 1
-    try:
-        begun = [arm.with_new_blocks().linearised() for arm in arms]
-        found = linearise(arms, config.session, (CAMERA, SIZES), passes=passes, first=begun)
-        if far := passes > 1 and not all(one.plausible for one in found):
-            found = linearise(arms, config.session, (CAMERA, SIZES), passes=1, first=begun)
-        first = found
-        if reason != _NOT_ASKED and applied is None:
-            file = CameraChange(file_deviations(arms[0].camera, config.camera))
-            blocks = [tuple(file if one.name == CAMERA else one for one in arm.blocks) for arm in arms]
-            by_file = [replace(arm, blocks=own) for arm, own in zip(arms, blocks, strict=True)]
-            first = linearise(by_file, config.session, (SIZES,), passes=_FILE_PASSES, first=begun)
-    except InputError as error:
-        none = (np.zeros((arm.calibration.alone().own,) * 2) for arm in arms)
-        return [CameraCheck(f"camera: {error}", each, file_covariance(arms[0].camera, config.camera)) for each in none]
-    each = zip(found, first, arms, strict=True)
-    return [_checked(last, near, arm, config, reason, applied, far=far) for last, near, arm in each]
-
-
-def _checked(
-    there: Linearised,
-    first: Linearised,
-    outlines: ArmOutlines,
-    config: EstimateConfig,
-    reason: str | None,
-    applied: Float64 | None,
-    *,
-    far: bool,
-) -> CameraCheck:
-    """Judge an estimate; ``reason`` is why the camera is not tested, ``far`` whether an estimate was not plausible.
-
-    ``first`` is the estimate where the camera's file is a measurement of it.
-    """
-    calibration, camera, shared = there.solution.calibration, outlines.camera, config.session.shared_errors
-    file, errors = file_deviations(camera, config.camera), file_covariance(camera, config.camera)
-    known = {CAMERA: file, SIZES: usual_sizes(config.camera)}
-    values, spread = there.with_std({**known, CAMERA: _WEAK_STD})
-    own = calibration.place(CAMERA)
-    change, covariance = values[own] if applied is None else applied, shared**2 * spread[own, own]
-    blocks = {CAMERA: stated_camera(change, covariance, file, camera, applied=applied is not None)}
-    if far and not blocks[CAMERA].doubt:
-        reason = IMPLAUSIBLE
-    square = np.diag(file**2)
-    if reason is None:
-        square = covariance if applied is not None else _mean_square(change, covariance, file)
-        errors[np.ix_(_places(TESTED), _places(TESTED))] = square
-    else:
-        del blocks[CAMERA]
-    blocks[SIZES] = found_sizes(first, known)
-    errors[-1, -1] = square_of_whole(blocks[SIZES], config.camera.instrument_size_percent / 100)
-    moves = there.moved_by(CAMERA)
-    of_camera = moves @ square @ moves.T
-    values, spread = there.with_std(known)
-    for block in outlines.blocks:
-        place, prior = calibration.place(block.name), np.diag(block.std**-2)
-        shown, axes = np.linalg.eigh(np.linalg.inv(spread[place, place]) - prior)
-        # errors that frames share are of what they show, not of the block's own prior
-        left = np.linalg.inv(prior + (axes * np.maximum(shown, 0.0) / shared**2) @ axes.T)
-        if (stated := block.stated(values[place], np.sqrt(np.diag(left)))) is not None:
-            blocks[block.name], moves = stated, there.moved_by(block.name)
-            of_camera += moves @ (left + np.outer(values[place], values[place])) @ moves.T
-    if LENS in blocks:
-        lens = np.square(blocks[LENS].std) + np.square(blocks[LENS].values)
-        errors[np.ix_(_places(_OF_LENS), _places(_OF_LENS))] = np.diag(lens)
-    return CameraCheck(reason or "", of_camera, errors, MarginEffect.of(first), blocks)
-
-
 def _mean_square(change: Float64, covariance: Float64, file: Float64) -> Float64:
     """Return the mean square (3, 3) of the errors of a camera file that is used as it is, by what frames and file show.
 
@@ -302,11 +209,11 @@ def _mean_square(change: Float64, covariance: Float64, file: Float64) -> Float64
     return with_mixture(change, covariance, priors)[1]
 
 
-def file_deviations(camera: Camera, config: CameraConfig, parameters: Sequence[str] = TESTED) -> Float64:
+def file_deviations(camera: Camera, config: CameraConfig, parameters: Sequence[str]) -> Float64:
     """Return the standard deviations of some parameters of a camera's file, in the units of `PARAMETERS`."""
-    return np.sqrt(np.diag(file_covariance(camera, config)))[_places(parameters)]
+    return np.sqrt(np.diag(file_covariance(camera, config)))[places_of(parameters)]
 
 
-def _places(parameters: Sequence[str]) -> list[int]:
+def places_of(parameters: Sequence[str]) -> list[int]:
     """Return which of all parameters some are."""
     return [PARAMETERS.index(name) for name in parameters]

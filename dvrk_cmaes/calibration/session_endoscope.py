@@ -242,7 +242,7 @@ class SessionEndoscope(Document):
         jacobian = np.zeros((6, len(covariance)))  # of the arm's base in the ECM's
         jacobian[:, :6] = np.eye(6)
         ecm_from_base, jacobian[:, count : count + 10] = endoscope.ecm_from_base(values, base)
-        whole = covariance + arm.of_camera_and_masks
+        whole = covariance + arm.checked.covariance
         std = np.sqrt(np.diag(whole))[count:]
         errors = np.concatenate([np.zeros((1, 4)), values.errors])
         return cls(

@@ -9,13 +9,13 @@ the instrument's sizes and the masks.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.blocks import SeenBlock
+from dvrk_cmaes.calibration.block_checks import check_blocks
 from dvrk_cmaes.calibration.cables import MARGIN, estimate_cables
 from dvrk_cmaes.calibration.consensus import (
     INLIER_MISFIT,
@@ -29,32 +29,23 @@ from dvrk_cmaes.calibration.frame_fit import starts_of
 from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, in_common
 from dvrk_cmaes.calibration.lag_search import find_lag
 from dvrk_cmaes.calibration.linearise import linearise
-from dvrk_cmaes.calibration.masks_and_sizes import InstrumentSizes, estimate_margin
+from dvrk_cmaes.calibration.masks_and_sizes import PartSizes, WholeSize
 from dvrk_cmaes.calibration.model import Deviations, SessionModel, ecm_readings, frames_alike, outer_readings
-from dvrk_cmaes.calibration.session_camera import (
-    CAMERA,
-    IMPLAUSIBLE,
-    Lens,
-    camera_undetermined,
-    check_camera,
-    describe_found,
-)
+from dvrk_cmaes.calibration.session_camera import CAMERA, IMPLAUSIBLE, Lens, camera_undetermined, describe_found
 from dvrk_cmaes.calibration.session_endoscope import LEAST_PIECE, describe_pieces, find_hand_eye, find_pieces
 from dvrk_cmaes.calibration.session_frame import SessionFrame, fit_task, gather_task
-from dvrk_cmaes.calibration.session_problem import LEAST_FRAMES, Arms, ArmSession, ArmSetup
+from dvrk_cmaes.calibration.session_problem import LEAST_FRAMES, Arms, ArmSession, ArmSetup, MakeBlock
 from dvrk_cmaes.calibration.session_rig import turns_of
 from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, solve_arms, solve_with_modes, solve_with_variances
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
 
-TESTED: Final[tuple[Callable[[EstimateConfig, Camera], SeenBlock], ...]] = (Lens,)
-"""What makes the further blocks that every session is tested for, each of which states itself."""
+TESTED: Final[tuple[MakeBlock, ...]] = (PartSizes, WholeSize, Lens)
+"""What makes the blocks for which every session is tested besides camera and margin."""
 
 _ROUNDS = 4  # in which frames and blocks are estimated in turn
 _NEAR = 1.0  # standard deviations per parameter, by which fits move to where the last solution expects them
-_CAMERA_PASSES = 2  # linearisations of the outlines about the camera between two fits of the frames
+_HELD = 1e-3  # of the standard deviations of what is known of a camera that is held at its file
 _MOVED_SHARE = 0.1  # of the frames, that agree only if the session is cut where its base moved
 _AGREE: Final = 4.0  # standard deviations of each unknown, within which arms find the same endoscope
 _OTHER_TIP: Final = (
@@ -196,10 +187,8 @@ def solved(arms: Arms) -> Arms:
         last = number == _ROUNDS
         arms = [_fitted(arm, scale, last=last) for arm in arms]
         arms = _estimated(arms, keep_all=scale != 1.0, last=last)
-        if setup.refine_camera and not last:
-            arms = _with_camera(arms, last=number == _ROUNDS - 1)
-        elif number == _ROUNDS - 1:
-            arms = _with_margin(arms)
+        if number == _ROUNDS - 1 or (setup.refine_camera and not last):
+            arms = _with_seen(arms, last=number == _ROUNDS - 1)
     found, out = solve_arms([ArmFrames(arm.model, arm.outlines(), arm.calibration) for arm in arms]), []
     for arm, own in zip(arms, found, strict=True):
         pairs = zip(arm.fits, arm.model.priors(own.calibration), strict=True)
@@ -278,41 +267,41 @@ def _with_cables(arm: ArmSession, fits: FrameFits, margin: float) -> ArmSession:
     return replace(arm, cables=cables, model=model)
 
 
-def _with_camera(arms: Arms, *, last: bool) -> Arms:
-    """Estimate the change of the camera, and use it where it is plausible; `InputError` if it is not at ``last``."""
-    estimates = linearise(
-        [arm.outlined() for arm in arms], arms[0].setup.config.session, [CAMERA], passes=_CAMERA_PASSES
-    )
+def _with_seen(arms: Arms, *, last: bool) -> Arms:
+    """Estimate what is seen otherwise than files have it, and use it: the camera, if it is refined, else the margin.
+
+    Without refinement the file is a measurement of the camera: an estimate of it is not used. `InputError` if the
+    camera's estimate is not plausible at ``last``.
+    """
+    setup, out = arms[0].setup, list[ArmSession]()
+    estimates = linearise([arm.outlined(wide=setup.refine_camera) for arm in arms], setup.config.session)
     if not all(estimate.plausible for estimate in estimates):
         if last:
             raise arms[0].camera_refused(IMPLAUSIBLE)
         return arms
-    each = zip(arms, estimates, strict=True)
-    return [arm.at(own.solution.calibration.alone(), change=own.value(CAMERA), moved=own.at) for arm, own in each]
-
-
-def _with_margin(arms: Arms) -> Arms:
-    """Estimate the margin of the masks, and take it off."""
-    seen = [arm.outlined(file_is_prior=True) for arm in arms]
-    masks, without = estimate_margin(seen, arms[0].setup.config.session)
-    return [arm.at(own, masks=masks, moved=at) for arm, (own, at) in zip(arms, without, strict=True)]
+    for arm, own in zip(arms, estimates, strict=True):
+        camera, margin = own.blocks
+        if setup.refine_camera:
+            arm = replace(arm, change=own.value(CAMERA))
+        else:
+            found, _ = margin.stated(*estimates[0].shown_of(margin))
+            held, _ = own.solution.with_std({CAMERA: _HELD * camera.known})
+            own = replace(own, solution=replace(own.solution, calibration=held))
+            arm = replace(arm, margin=found)
+        out.append(arm.at(own.solution.calibration.alone(), moved=own.at))
+    return out
 
 
 def checked(arms: Arms) -> Arms:
-    """Test whether the frames contradict the camera file, the instrument's sizes and the further blocks.
+    """Check camera, instrument and other blocks of arms that are solved, and note what is found of the camera.
 
     The evidence of the returned arms is as seen by the camera that is used.
     """
-    seen, config, out = [], arms[0].setup.config, list[ArmSession]()
+    out = list[ArmSession]()
     for arm in arms:
         arm.setup.progress("checking the camera", len(arm.frames))
-        further = (make(config, arm.stored[0].camera) for make in TESTED)
-        seen.append(arm.outlined(InstrumentSizes(arm.setup.instrument), *further))
-    checks = check_camera(seen, config, applied=arms[0].change)
-    for arm, check in zip(arms, checks, strict=True):
-        masks = arm.masks if check.of_margin is None else check.of_margin.stated(arm.masks)
-        arm = replace(arm, check=check, masks=masks)
-        camera = check.blocks.get(CAMERA)
+    for arm, check in zip(arms, check_blocks(arms, TESTED), strict=True):
+        arm, camera = replace(arm, check=check), check.blocks.get(CAMERA)
         if camera is None:
             arm = arm.noted(undetermined=[check.undetermined])
         elif arm.setup.guessed_camera:

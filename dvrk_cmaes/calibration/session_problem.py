@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dvrk_cmaes.calibration.blocks import Calibration, SeenBlock
+from dvrk_cmaes.calibration.blocks import BlockCheck, Calibration, FoundBlock, SeenBlock
 from dvrk_cmaes.calibration.cables import CableFit
 from dvrk_cmaes.calibration.consensus import (
     Mode,
@@ -16,22 +16,15 @@ from dvrk_cmaes.calibration.consensus import (
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.lag import SessionLag
 from dvrk_cmaes.calibration.linearise import ArmOutlines
-from dvrk_cmaes.calibration.masks_and_sizes import (
-    MaskMargin,
-    SessionMasks,
-)
+from dvrk_cmaes.calibration.masks_and_sizes import MaskMargin
 from dvrk_cmaes.calibration.model import CommonErrors, SessionModel
-from dvrk_cmaes.calibration.session_camera import (
-    CameraChange,
-    CameraCheck,
-    file_deviations,
-)
+from dvrk_cmaes.calibration.session_camera import CameraChange
 from dvrk_cmaes.calibration.session_frame import Run, SessionFrame, StoredFrame
-from dvrk_cmaes.calibration.session_rig import ViewRotation
 from dvrk_cmaes.calibration.solve import (
     FrameFits,
     Solved,
 )
+from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64, Posed
@@ -46,6 +39,10 @@ LEAST_FRAMES = 3
 
 _MOST_NAMED = 4
 _TO_TRY = "try another --instrument, --tool or --arm, other readings, or the lag of all rows of the recording"
+
+
+MakeBlock = Callable[[EstimateConfig, Instrument, Camera], SeenBlock]
+"""Makes a block by settings, the instrument and the camera of the outlines, as its file has it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +79,8 @@ class ArmSession:
     camera or a margin was estimated since.
 
     ``change`` (3,) is that of the camera, as of `session_frame.changed`, None where the camera's file is used; ``rig``
-    what the further views differ in from the file; ``masks`` states the margin of the masks, ``check`` is the test of
-    the camera, None until they are known.
+    what the further views differ in from the file; ``margin`` states that of the masks, ``check`` what is found of all
+    blocks that are seen, None until they are known.
 
     ``remarks`` are about faults of the session as a whole that are put right, ``undetermined`` about what it does not
     determine; ``left_out`` are the reasons for which frames are left out, by name.
@@ -94,10 +91,10 @@ class ArmSession:
     modes: tuple[Sequence[Mode], ...]
     model: SessionModel
     lag: SessionLag
-    rig: tuple[ViewRotation, ...] = ()
+    rig: Mapping[str, FoundBlock] = field(default_factory=dict)
     change: Float64 | None = None
-    masks: SessionMasks | None = None
-    check: CameraCheck | None = None
+    margin: FoundBlock | None = None
+    check: BlockCheck | None = None
     cables: tuple[CableFit, CableFit] | None = None
     stored: tuple[StoredFrame, ...] = ()
     fits: tuple[FrameFit, ...] = ()
@@ -108,7 +105,9 @@ class ArmSession:
     left_out: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, setup: ArmSetup, frames: Sequence[SessionFrame], rig: tuple[ViewRotation, ...] = ()) -> ArmSession:
+    def of(
+        cls, setup: ArmSetup, frames: Sequence[SessionFrame], rig: Mapping[str, FoundBlock] | None = None
+    ) -> ArmSession:
         """Return an arm before anything is estimated.
 
         Parameters
@@ -127,7 +126,7 @@ class ArmSession:
         lag = SessionLag.of(setup.series, read, model.deviations.outer, setup.lag, alike)
         modes = tuple(Mode.all_of(frame.result, names) for frame in frames)
         change = np.zeros(3) if setup.refine_camera else None
-        return cls(setup, tuple(frames), modes, model, lag, rig, change)
+        return cls(setup, tuple(frames), modes, model, lag, rig or {}, change)
 
     @property
     def solution(self) -> Solved:
@@ -173,16 +172,13 @@ class ArmSession:
     @property
     def taken_off(self) -> float:
         """Margin, px, that is taken off all masks."""
-        return 0.0 if self.masks is None else self.masks.taken_off
+        return 0.0 if self.margin is None else self.margin.values[0]
 
     @property
-    def of_camera_and_masks(self) -> Float64:
-        """Mean square (K, K) of the calibration's errors that errors of the camera and of all masks cause."""
+    def checked(self) -> BlockCheck:
+        """What is found of the blocks that are seen."""
         assert self.check is not None
-        by_margin = () if self.masks is None else self.masks.by_margin
-        if self.masks is None or not by_margin:
-            return self.check.covariance
-        return np.asarray(self.check.covariance + self.masks.square * np.outer(by_margin, by_margin))
+        return self.check
 
     @property
     def common(self) -> CommonErrors:
@@ -195,19 +191,24 @@ class ArmSession:
         fits = [fit if fit.explains_mask or keep_all else fit.without_outline() for fit in self.fits]
         return FrameFits.of(fits, self.common)
 
-    def outlined(self, *tested: SeenBlock, file_is_prior: bool = False) -> ArmOutlines:
+    def outlined(self, *tested: MakeBlock, wide: bool) -> ArmOutlines:
         """Return the outlines of all frames in one view about their fits, as functions of camera, margin and others.
 
         The view is that of the reference camera; another one if that does not show the instrument in any frame.
-        ``file_is_prior`` is whether the camera's file is the prior of the camera, ``tested`` are the other blocks.
+        ``tested`` make the other blocks; ``wide`` is whether the camera has a wide prior instead of that of its file.
         """
         shown = [stored for stored in self.stored if stored.in_reference] or self.stored
-        name, pairs = str(shown[0].views[0].name), zip(self.fits, self.stored, strict=True)
+        name, config = str(shown[0].views[0].name), self.setup.config
+        pairs = zip(self.fits, self.stored, strict=True)
         numbers = [stored.number_of(name) if fit.explains_mask else None for fit, stored in pairs]
-        file = file_deviations(self.stored[0].camera, self.setup.config.camera) if file_is_prior else None
-        blocks = CameraChange(file, self.change), MaskMargin(self.taken_off), *tested
+        camera = self.stored[0].views[numbers[0] or 0].evidence.camera
+        blocks = (
+            CameraChange(config, camera, self.change, wide=wide),
+            MaskMargin(camera.pixel_scale, self.taken_off, used=self.change is None),
+            *(make(config, self.setup.instrument, camera) for make in tested),
+        )
         at, shared = Posed.stacked(one.at for one in self.fits), (self.setup.run, self.common)
-        return ArmOutlines(self.model, self.calibration, at, self.stored, numbers, *shared, blocks)
+        return ArmOutlines(self.model, self.calibration, at, self.stored, numbers, *shared, blocks, camera)
 
     @property
     def disagreements(self) -> list[str]:

@@ -8,15 +8,12 @@ looks like a rotation about the axis across it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.blocks import CLEAR
-from dvrk_cmaes.calibration.linearise import NAMED
+from dvrk_cmaes.calibration.blocks import CLEAR, NAMED, FoundBlock
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.io.encode import Document
-from dvrk_cmaes.io.typed_document import Count, Point
 from dvrk_cmaes.results.result import Result
 
 FEWEST = 3
@@ -29,51 +26,37 @@ About y the eyes see an instrument at 5 mm / 150 mm = 2 deg apart, which errors 
 1 % of the focal length and half a pixel of the shaft's width are 1.5 % of the distance.
 """
 
+_RIG: Final = "rig "  # begins the name of the block of a view
 _LEAST_ANGLE = 0.04  # deg, beyond which a view is turned, if it clearly is
 _PASSES = 20  # of the weights
 _TAIL = 9.0  # squared distance, in units of the common one, at which a frame has half of its weight
 _MEDIAN_SQUARE = 2.366  # median of the squared distance of three unknowns
 
 
-@dataclass(frozen=True, eq=False)
-class ViewRotation(Document):
-    """Rotation of a further view of the rig against the file, about the first camera's axes.
+def rotations_of_session(results: Iterable[Result]) -> dict[str, FoundBlock]:
+    """State the rotation of each further view, rad, by the results of a session's frames, each found by itself.
 
-    view : its name. rotation_deg, std_deg : (3,), degrees. frames : number of frames in which it was compared.
-    applied : whether the session was solved with the view turned by it.
+    The block is applied where the rotation is clear of zero. Views that are compared in fewer than three frames are
+    left out.
     """
-
-    view: str
-    rotation_deg: Point
-    std_deg: Point
-    frames: Count
-    applied: bool
-
-    def describe(self) -> str:
-        """Describe the rotation in words: the components that are clear of zero, or the largest one."""
-        clear = np.abs(self.rotation_deg) > NAMED * self.std_deg
-        clear[np.argmax(np.abs(self.rotation_deg) / self.std_deg)] = True
-        parts = [
-            f"{value:.2f} +- {max(std, 0.005):.2f} deg about {axis}"
-            for axis, value, std, named in zip("xyz", self.rotation_deg, self.std_deg, clear, strict=True)
-            if named
-        ]
-        than = "rotated by" if self.applied else "as in the file:"
-        return f"the {self.view} eye is {than} {', '.join(parts)}{' against the file' if self.applied else ''}"
+    return {f"{_RIG}{found[0]}": _stated(*found) for found in rotations_of_views(results)}
 
 
-def rotations_of_session(results: Iterable[Result]) -> tuple[ViewRotation, ...]:
-    """Estimate the rotation of each further view from the results of a session's frames, each found by itself.
-
-    A view is turned where its rotation is clear of zero. Views that are compared in fewer than three frames are left
-    out.
-    """
-    found = []
-    for name, count, rotation, own in rotations_of_views(results):
-        covariance = own + np.diag(LEAST_STD**2)
-        applied = is_turned(rotation, covariance)
-        found.append(ViewRotation(name, rotation, np.sqrt(np.diag(covariance)), count, applied))
-    return tuple(found)
+def _stated(view: str, count: int, rotation_deg: Float64, own_deg2: Float64) -> FoundBlock:
+    """State the rotation of a view that was compared in a number of frames."""
+    covariance = own_deg2 + np.diag(LEAST_STD**2)
+    turned, std = is_turned(rotation_deg, covariance), np.sqrt(np.diag(covariance))
+    clear = np.abs(rotation_deg) > NAMED * std
+    clear[np.argmax(np.abs(rotation_deg) / std)] = True
+    parts = [
+        f"{value:.2f} +- {max(spread, 0.005):.2f} deg about {axis}"
+        for axis, value, spread, named in zip("xyz", rotation_deg, std, clear, strict=True)
+        if named
+    ]
+    than, against = ("rotated by", " against the file") if turned else ("as in the file:", "")
+    text = f"the {view} eye is {than} {', '.join(parts)}{against}, in {count} frames"
+    each = np.deg2rad(rotation_deg), np.deg2rad(std), np.full(3, np.pi)
+    return FoundBlock.of("xyz", each, text, applied=turned)
 
 
 def rotations_of_views(results: Iterable[Result]) -> Iterator[tuple[str, int, Float64, Float64]]:
@@ -94,9 +77,13 @@ def is_turned(rotation_deg: Float64, covariance_deg2: Float64) -> bool:
     return sigmas > CLEAR and float(np.linalg.norm(rotation_deg)) > _LEAST_ANGLE
 
 
-def turns_of(rig: Sequence[ViewRotation]) -> Mapping[str, Float64]:
+def turns_of(blocks: Mapping[str, FoundBlock]) -> dict[str, Float64]:
     """Return the rotations (3,), rad, of the views that are not used as in the file, by name."""
-    return {each.view: np.deg2rad(each.rotation_deg) for each in rig if each.applied}
+    return {
+        name.removeprefix(_RIG): np.array(found.values)
+        for name, found in blocks.items()
+        if name.startswith(_RIG) and found.applied
+    }
 
 
 def pooled_rotation(rotations: Sequence[tuple[Float64, Float64]]) -> tuple[Float64, Float64]:

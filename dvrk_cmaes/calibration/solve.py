@@ -183,22 +183,29 @@ class Solved:
 
     @cached_property
     def covariance(self) -> Float64:
-        """Covariance (K, K) of the calibration, in the order of its steps.
+        """Covariance (K, K) of the unknowns, in the order of their steps.
 
         Frames share errors, which do not average out as those of independent frames do. Those that are near each other
         in time count as one, and that of the lag is the same for all. Standard deviations grow where the slopes of
         successive parts of the recording scatter more than expected (the covariance for clustered errors), as those of
         cables do.
         """
-        inverse = np.asarray(np.linalg.inv(self.whole.information), dtype=np.float64)
-        return self.whole.covariance_of(inverse)[self._place]
+        return self.whole.covariance_of(inverse_information(self.whole.information))[self._place]
 
-    def with_information(self, more: Float64) -> tuple[Float64, Float64]:
-        """Return inverse information and covariance (K, K) with more information (K, K) about the arm's unknowns."""
+    def with_std(self, changed: Mapping[str, Float64]) -> tuple[Calibration, Float64]:
+        """Return the calibration if priors of blocks that are seen had other standard deviations, and its covariance.
+
+        ``changed`` are these (n,), by block.
+        """
+        calibration, more = self.calibration, np.zeros(len(self._place[1]))
+        for name, std in changed.items():
+            place = calibration.place(name)
+            more[place] = std**-2.0 - np.diag(calibration.information)[place]
         information = self.whole.information.copy()
-        information[self._place] += more
+        information[self._place] += np.diag(more)
         inverse = inverse_information(information)
-        return inverse[self._place], self.whole.covariance_of(inverse)[self._place]
+        step = -inverse[self._place] @ (more * calibration.deviation)
+        return calibration.changed(step), self.whole.covariance_of(inverse)[self._place]
 
 
 def inverse_information(information: Float64) -> Float64:
@@ -311,16 +318,6 @@ def leave_one_out(solution: Solved, index: int) -> Calibration:
     """
     information = solution.information - solution.frame_information[index]
     return solution.calibration.changed(np.linalg.solve(information, solution.frame_slopes[index]))
-
-
-def frame_covariances(model: SessionModel, fits: FrameFits, solution: Solved) -> Float64:
-    """Compute the covariance (N, D, D) of each frame's pose and joints, including that of the calibration.
-
-    Axes are the changes of the root's pose in its own axes and the joints, m and rad.
-    """
-    frames = marginalise(model, fits, solution.calibration)
-    jacobian = frames.gain @ model.jacobian(solution.calibration)  # of the frames' estimates
-    return np.asarray(frames.covariance + jacobian @ solution.covariance @ np.swapaxes(jacobian, 1, 2))
 
 
 def solve_with_variances(

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from dvrk_cmaes.calibration.calibrate import SolvedSession, begin_arm
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.masks_and_sizes import MARGIN
 from dvrk_cmaes.calibration.session_camera import of_the_camera_found
 from dvrk_cmaes.calibration.session_frame import SessionFrame
 from dvrk_cmaes.calibration.session_problem import ArmSetup
@@ -142,8 +143,7 @@ def _with_mask(files: FrameFiles, alone: Path) -> FrameFiles:
 
 def write_cameras(calibration: SessionCalibration, rig: Rig, out: Path) -> None:
     """Write the cameras with which a session was solved, where they are not those of its files, for raw images."""
-    camera = calibration.blocks.get("camera")
-    if not (camera and camera.applied) and not any(view.applied for view in calibration.rig):
+    if not {name for name, found in calibration.blocks.items() if found.applied} - {MARGIN}:
         return
     first, *others = calibration.corrected_views(rig.views)
     write_text(out / (f"{first.name}.yaml" if others else CAMERA), view_info_text(first, "refined"))

@@ -211,7 +211,7 @@ class RecordedSolution:
             )
         ]
         blocks = [tuple(frames[k : k + BLOCK]) for k in range(0, len(frames), BLOCK)]
-        fit = partial(fit_block, masks=self.calibration.masks, colours=self.colours)
+        fit = partial(fit_block, margin=self.calibration.margin_px, colours=self.colours)
         return [fitted for block in self.work.run(fit, blocks) for fitted in block]
 
 

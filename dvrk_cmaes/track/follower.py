@@ -205,7 +205,7 @@ class Follower:
             return None
         shown = self.calibration.corrected_views(segmenter.views(seen))
         colours = None if seen.masks else segmenter.colours
-        fitter = ImageFitter(given.body, given.config, self.calibration.masks, colours, self._lengths)
+        fitter = ImageFitter(given.body, given.config, self.calibration.margin_px, colours, self._lengths)
         return fitter.fit(shown, Expected.of(at, spread), before)
 
     def _judged(self, fitted: MaskedFit | None, found: Found, image: WindowImage, seen: Seen) -> Judged:

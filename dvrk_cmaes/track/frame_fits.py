@@ -22,7 +22,6 @@ from dvrk_cmaes.calibration.frame_fit import (
     OwnEstimate,
     fit_frame,
 )
-from dvrk_cmaes.calibration.masks_and_sizes import SessionMasks
 from dvrk_cmaes.calibration.session_frame import StoredView
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
@@ -78,16 +77,16 @@ StoredFit = tuple[tuple[StoredView, ...], MaskedFit]
 
 @dataclass(frozen=True, eq=False)
 class ImageFitter:
-    """Fits images near what is expected of them: with an instrument, all settings, and a calibration's ``masks``.
+    """Fits images near what is expected of them: with an instrument, and all settings.
 
-    ``masks`` states the margin that is taken off the masks. With ``colours`` of the views, by name, masks are found in
+    ``margin``, px, is taken off the masks. With ``colours`` of the views, by name, masks are found in
     the images of views that have none. ``lengths``, correlation lengths, px, of the contours of images before, by view,
     are given while images come: the fit is then found in few drawings.
     """
 
     body: Body
     config: EstimateConfig
-    masks: SessionMasks | None = None
+    margin: float = 0.0
     colours: Mapping[str, ColourModel] | None = None
     lengths: Mapping[str, float] | None = None
 
@@ -131,8 +130,7 @@ class ImageFitter:
         if self.lengths is not None:
             preset = FROM_PREDICTION if before is None else WHILE_RUNNING if len(starts) == 1 else FROM_TWO_STARTS
             lengths = [self.lengths.get(view.name, self.config.refine.outline.correlation) for view in views]
-        margin = 0.0 if self.masks is None else self.masks.taken_off
-        return fit_frame(views, self.config, expected, starts, margin=margin, lengths=lengths, preset=preset)
+        return fit_frame(views, self.config, expected, starts, margin=self.margin, lengths=lengths, preset=preset)
 
 
 _LONGEST = 640  # px, longer side of the images in which masks are found while they come
@@ -168,15 +166,15 @@ def fit_block(
     config: EstimateConfig,
     frames: Sequence[PredictedFrame],
     *,
-    masks: SessionMasks | None,
+    margin: float,
     colours: Mapping[str, ColourModel] | None = None,
 ) -> list[StoredFit | None]:
     """Fit consecutive frames, each from its prediction and from that changed as the frame before was.
 
-    ``masks`` and ``colours`` are as of `ImageFitter`. None stands for a frame whose masks or images show nothing of the
-    instrument where it is expected.
+    ``margin`` and ``colours`` are as of `ImageFitter`. None stands for a frame whose masks or images show nothing of
+    the instrument where it is expected.
     """
-    fitter, found = ImageFitter(body, config, masks, colours), list[StoredFit | None]()
+    fitter, found = ImageFitter(body, config, margin, colours), list[StoredFit | None]()
     before: Float64 | None = None
     for read, expected in frames:
         started, data, fitted = time.perf_counter(), read(), None

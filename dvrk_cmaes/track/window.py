@@ -18,7 +18,7 @@ import numpy as np
 
 from dvrk_cmaes import _kernel
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.masks_and_sizes import covariance_of_margin
+from dvrk_cmaes.calibration.masks_and_sizes import MARGIN, covariance_of_margin
 from dvrk_cmaes.calibration.prediction import Prediction
 from dvrk_cmaes.calibration.session_doubts import resting_on
 from dvrk_cmaes.calibration.session_frame import StoredView
@@ -176,7 +176,7 @@ class Window:
         for image, deviation, own, response in zip(solved, deviations, covariances, responses, strict=True):
             at, by_calibration = image.at.moved(deviation), response[:, :-1]
             covariance = own + by_calibration @ calibrated @ by_calibration.T
-            covariance += covariance_of_margin(calibration.masks, response[:, -1], by_calibration)
+            covariance += covariance_of_margin(calibration.blocks.get(MARGIN), response[:, -1], by_calibration)
             of_camera = covariance_by_camera(self.instrument, corrected, at, calibration.camera_errors)
             found.append((at, covariance, of_camera))
         return found

@@ -37,16 +37,14 @@ def calibrations(bundled_body: Body) -> dict[int, tuple[SessionCalibration, floa
 
 @pytest.mark.parametrize("pixels", [-1, 1])
 def test_margin_is_found_and_taken_off(calibrations: dict[int, tuple[SessionCalibration, float]], pixels: int) -> None:
-    masks = calibrations[pixels][0].masks
-    assert masks is not None
-    assert masks.applied
-    assert masks.margin_px == pytest.approx(pixels, abs=0.3)
-    assert masks.std_margin_px < 0.3
+    margin = calibrations[pixels][0].blocks["margin"]
+    assert margin.applied
+    assert margin.values[0] == pytest.approx(pixels, abs=0.3)
+    assert margin.std[0] < 0.3
     assert calibrations[pixels][1] < 1.0
 
 
 def test_exact_masks_are_nearly_left_as_they_are(calibrations: dict[int, tuple[SessionCalibration, float]]) -> None:
-    masks = calibrations[0][0].masks
-    assert masks is not None
-    assert abs(masks.taken_off) < 0.05
-    assert masks.std_margin_px < 0.1
+    margin = calibrations[0][0].blocks["margin"]
+    assert abs(margin.values[0]) < 0.05
+    assert margin.std[0] < 0.1

@@ -63,17 +63,18 @@ def by_right(bundled_body: Body, frames_of: dict[str, list[SessionFrame]]) -> So
 
 
 def test_rotation_is_found_with_its_error(turned: SolvedSession) -> None:
-    (rotation,) = turned.calibration.rig
-    assert (rotation.view, rotation.frames, rotation.applied) == ("right", 5, True)
-    assert np.abs((rotation.rotation_deg - TURN) / rotation.std_deg).max() < 2.5
-    assert rotation.std_deg[0] < 0.05
+    rotation = turned.calibration.blocks["rig right"]
+    assert rotation.applied
+    assert rotation.text.endswith("against the file, in 5 frames")
+    assert (np.abs(np.degrees(rotation.values) - TURN) < 2.5 * np.degrees(rotation.std)).all()
+    assert np.degrees(rotation.std[0]) < 0.05
 
 
 def test_right_file_is_left_as_it_is(by_right: SolvedSession) -> None:
     calibration = by_right.calibration
-    assert [rotation.applied for rotation in calibration.rig] == [False]
+    assert not calibration.blocks["rig right"].applied
     assert not any("eye" in text for text in calibration.warnings)
-    assert calibration.rig[0].describe().startswith("the right eye is as in the file: ")
+    assert calibration.blocks["rig right"].text.startswith("the right eye is as in the file: ")
     right = calibration.corrected_views(RIG.views)[1]
     np.testing.assert_array_equal(right.view_from_camera, RIG.views[1].view_from_camera)
 

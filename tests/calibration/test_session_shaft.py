@@ -23,12 +23,12 @@ def test_another_radius_is_a_doubt_and_the_right_one_is_none(bundled_body: Body,
         pose[:3, 3] *= scale
         seen.append(replace(frame, result=replace(frame.result, camera_from_root=pose)))
     found = calibrate_session(seen, bundled_body if scale == 1 else with_shaft(bundled_body, scale)).calibration
-    sizes = dict(zip(found.blocks["sizes"].axes, found.blocks["sizes"].values, strict=True))
+    radius = found.blocks["parts"].values[found.blocks["parts"].axes.index("radius")]
     assert bool(found.doubts) == (scale != 1)
     if scale == 1:
-        assert abs(sizes["radius"]) < 0.02
+        assert abs(radius) < 0.02
     else:
-        assert sizes["radius"] * (1 - scale) > 0
+        assert radius * (1 - scale) > 0
 
 
 def test_whole_instrument_that_is_larger_is_found_and_is_a_doubt(bundled_body: Body) -> None:
@@ -44,7 +44,7 @@ def test_whole_instrument_that_is_larger_is_found_and_is_a_doubt(bundled_body: B
         data = FrameData.of(mask, SMALL)
         seen.append(replace(frame, data=data, result=result))
     found = calibrate_session(seen, bundled_body).calibration
-    whole, std = found.blocks["sizes"].values[-1], found.blocks["sizes"].std[-1]
+    (whole,), (std,) = found.blocks["size"].values, found.blocks["size"].std
     assert abs(np.exp(whole) - 1.05) < 3 * std < 0.05
     percent = round(100 * np.expm1(whole))
     assert any(f"all of it is {percent} % (std" in doubt and "larger" in doubt for doubt in found.doubts)

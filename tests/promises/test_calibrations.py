@@ -184,7 +184,7 @@ def test_session_without_outer_joints_cannot_be_calibrated(tmp_path: Path, quick
         ("covariance.matrix", [[1.0]], "covariance.matrix: expected 11 rows of 11 finite numbers, no negative"),
         ("covariance.given_camera", [[1.0]], "covariance.given_camera: expected 11 rows of 11 finite numbers"),
         ("covariance.axes", ["tx"], "covariance.axes: expected tx, ty, tz, rx, ry, rz, insertion, roll, wrist_pitch"),
-        ("schema", 2, "schema: expected 4, got 2; calibrate again: dvrk-cmaes calibrate FOLDER"),
+        ("schema", 2, "schema: expected 5, got 2; calibrate again: dvrk-cmaes calibrate FOLDER"),
         ("lag", {"applied": True}, "lag: expected frames or seconds, got {'applied': True}"),
         ("spreads.roll", 0.0, "spreads.roll: expected a number above 0, got 0.0"),
         ("covariance", [], "covariance: expected an object, got []"),
