@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 from array import array
 from collections.abc import Mapping
-from threading import Thread
+from threading import Event, Thread
 from typing import Any, Final
 
 import numpy as np
@@ -49,6 +49,7 @@ class RclpyConnection(Connection):
         self._context.init()
         self._node = rclpy.create_node(_NODE, context=self._context)
         self._publishers: dict[str, tuple[Any, Any]] = {}
+        self._closed = Event()
         self._thread = Thread(target=self._spin, daemon=True)
 
     def open(self, timeout: float) -> bool:
@@ -58,8 +59,9 @@ class RclpyConnection(Connection):
 
     def close(self) -> None:
         """End the node."""
-        self._context.shutdown()
+        self._closed.set()
         self._thread.join()
+        self._context.shutdown()
         self._node.destroy_node()
 
     def subscribe(
@@ -99,10 +101,10 @@ class RclpyConnection(Connection):
         return True
 
     def _spin(self) -> None:
-        """Receive messages until the context is shut down."""
+        """Receive messages until the node is closed: one that waits while its context is shut down raises."""
         executor = self._executor(context=self._context)
         executor.add_node(self._node)
-        while self._context.ok():
+        while not self._closed.is_set():
             executor.spin_once(timeout_sec=0.1)
 
 

@@ -117,6 +117,7 @@ class Bus:
                 import time
 
                 time.sleep(0.01)
+                assert bus.open  # rclpy raises where a context is shut down meanwhile
 
         contents: dict[str, dict[str, Any]] = {
             "rclpy": {
