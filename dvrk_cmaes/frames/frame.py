@@ -51,7 +51,8 @@ class FrameFiles:
     which is refined instead of a search. ``crop`` is the part of the pictures that is used, left, top, width and
     height, px; ``pick``, ``keypoints`` and ``prompts`` are in pixels of the whole pictures. ``overlaid`` is a PNG of
     pixels of the whole pictures that are over all images of the session, as a robot's messages, and do not count.
-    ``without_reading``: a ``problem`` that is only that no reading is near the image's time.
+    ``without_reading``: a ``problem`` that is only that no reading is near the image's time. ``mask_name``: of the mask
+    in a file with those of many frames, by default that of the frame.
     """
 
     name: str
@@ -73,6 +74,7 @@ class FrameFiles:
     crop: Window | None = None
     overlaid: bytes | None = None
     without_reading: bool = False
+    mask_name: str | None = None
 
     @property
     def has_mask(self) -> bool:
@@ -132,7 +134,7 @@ class FrameFiles:
         """
         if self.mask is None:
             return None
-        mask = read_mask(self.mask, label=self.label, pick=self.pick, blank=blank, name=self.name)
+        mask = read_mask(self.mask, label=self.label, pick=self.pick, blank=blank, name=self.mask_name or self.name)
         return self._part(mask, self.mask)
 
     def read_image(self) -> NDArray[np.uint8] | None:
@@ -189,7 +191,7 @@ class FrameFiles:
         if path is None:
             raise InputError(f"frame {self.name}: expected a mask or an image, got neither")
         if path.suffix.lower() == ".json":
-            height, width = read_mask(path, blank=True, name=self.name).shape
+            height, width = read_mask(path, blank=True, name=self.mask_name or self.name).shape
             return width, height
         expected = "a mask or an image (PNG or JPEG)"
         header = read_header(read_bytes(path, expected=expected, largest=_LARGEST))

@@ -79,8 +79,8 @@ def counted_apart(names: Collection[str], others: Collection[str]) -> bool:
 
 def with_names_of(
     folder: Path, masks: Mapping[str, Path], images: Iterable[str], rows: Collection[str]
-) -> Mapping[str, Path]:
-    """Return masks by the names of the images, or of the rows of readings, that they pair with, others by their own.
+) -> dict[str, str]:
+    """Return by name of each mask that of the image, or of the row of readings, that it pairs with, or its own.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def with_names_of(
     numbers = {_number(name): name for name in images}
     for name in (name for name in alone if _number(name) in numbers.keys() - {None}):
         raise InputError(f"{masks[name]}: expected one mask for image {numbers[_number(name)]}, got several")
-    return {met.get(name, name): path for name, path in masks.items()}
+    return {name: met.get(name, name) for name in masks}
 
 
 def with_masks_beside(names: Iterable[str]) -> list[str]:

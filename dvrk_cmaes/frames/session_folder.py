@@ -406,9 +406,10 @@ def _session_frames(
     rows = of_frames[0] if len(of_frames) == 1 else {name: 0 for names in of_frames for name in names}
     of_kinds, like = {"masks": of_views[0][0], "rows of readings": rows}, images or of_views[0][0]
     apart = [f"{kind} {listed(names, 1)}" for kind, names in of_kinds.items() if counted_apart(names, like)]
-    for kinds in of_views:
-        kinds[0] = with_names_of(mask_folder, kinds[0], kinds[1], rows)
-    masks = of_views[0][0]
+    named = [with_names_of(mask_folder, kinds[0], kinds[1], rows) for kinds in of_views]
+    for kinds, of_masks in zip(of_views, named, strict=True):
+        kinds[0] = {of_masks[name]: path for name, path in kinds[0].items()}
+    masks, in_data_set = of_views[0][0], {frame: name for name, frame in named[0].items()}
     for kinds in of_views[1:]:
         kinds[:2] = [named_as({**masks, **images}, of_kind) for of_kind in kinds[:2]]
     # lexists: a broken link is an error, not a missing file
@@ -443,6 +444,7 @@ def _session_frames(
         )
         frame = replace(
             first,
+            mask_name=in_data_set.get(name, name),
             keypoints=tips.get(name),
             time=next((each / NANOSECONDS for each in moments if each is not None), None),
             others=dict(zip(views[1:], further, strict=True)),

@@ -22,7 +22,7 @@ import numpy as np
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.coco_mask import FILES, frames_of
 from dvrk_cmaes.frames.images import THRESHOLD, match_size
-from dvrk_cmaes.frames.paired_names import with_names_of
+from dvrk_cmaes.frames.paired_names import counted_apart, with_names_of
 from dvrk_cmaes.frames.session_folder import image_files, read_session
 from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, session_toml
 from dvrk_cmaes.frames.video_frames import Video
@@ -330,15 +330,17 @@ def write_masks(given: Path, folder: Path, names: Sequence[str], numbers: Sequen
     InputError
         There is no such file, or no frame has a mask.
     """
+    met = dict[str, str]()
     if given.is_dir():
         masks = image_files(given)
-        met = {name: path for name, path in with_names_of(given, masks, (), names).items() if name in {*names}}
-        for name, path in met.items():
-            write_bytes(folder / "masks" / f"{name}{path.suffix.lower()}", path.read_bytes())
+        met = {name: frame for name, frame in with_names_of(given, masks, (), names).items() if frame in {*names}}
+        for name, frame in met.items():
+            write_bytes(folder / "masks" / f"{frame}{masks[name].suffix.lower()}", masks[name].read_bytes())
         found, there = len(met), [*masks]
     elif given.suffix.lower() == ".json":
         there = [*frames_of(given)]
-        found = len({*names} & {*with_names_of(given, dict.fromkeys(there, given), (), names)}) if there else 0
+        met = with_names_of(given, dict.fromkeys(there, given), (), names) if there else {}
+        found = len({*names} & {*met.values()})
         write_bytes(folder / FILES[0], given.read_bytes())
     else:
         wanted, there = dict(zip(numbers, names, strict=True)), list[str]()
@@ -351,4 +353,5 @@ def write_masks(given: Path, folder: Path, names: Sequence[str], numbers: Sequen
     if not found:
         of_frames = listed(sorted(names, key=natural), 2)
         raise InputError(f"{given}: expected masks of the frames {of_frames}, got {listed(there, 2) or 'none'}")
-    return f"masks: {found} of {len(names)} frames, of {given}"
+    in_order = f", in order from {there[0]} on" if met and counted_apart(there, names) else ""
+    return f"masks: {found} of {len(names)} frames, of {given}{in_order}"

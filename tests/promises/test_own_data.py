@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from helpers.made_recordings import HEIGHT, WIDTH, write_video
 
-from dvrk_cmaes import read_session
+from dvrk_cmaes import read_frame, read_session
 from promises.program import DEMO, Ran, run
 
 FRAMES = 4
@@ -35,8 +35,8 @@ def video(tmp_path: Path) -> list[object]:
     return ["import", tmp_path / "v.avi", *files, "--out", tmp_path / "out"]
 
 
-def given_masks(folder: Path, kind: str) -> Path:
-    """Write masks of all images but the last, and give their place."""
+def given_masks(folder: Path, kind: str, first: int = 0, count: int = FRAMES - 1) -> Path:
+    """Write masks of all images but the last, or of a number, those of a data set counted from ``first``."""
     if kind == "video":
         writer = cv2.VideoWriter(str(folder / "m.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 25, (WIDTH, HEIGHT))
         for number in range(FRAMES - 1):
@@ -44,10 +44,11 @@ def given_masks(folder: Path, kind: str) -> Path:
         writer.release()
         return folder / "m.avi"
     if kind == "COCO":
-        images = [{"id": k, "file_name": f"{k:05d}.jpg", "width": WIDTH, "height": HEIGHT} for k in range(FRAMES - 1)]
+        sizes = {"width": WIDTH, "height": HEIGHT}
+        images = [{"id": k, "file_name": f"{first + k:05d}.jpg", **sizes} for k in range(count)]
         parts = [
             {"id": k, "image_id": k, "category_id": 1, "segmentation": [[20, 10, 40, 10, 40, 20 + k, 20, 20 + k]]}
-            for k in range(FRAMES - 1)
+            for k in range(count)
         ]
         document = {"images": images, "annotations": parts, "categories": [{"id": 1, "name": "tool"}]}
         (folder / "m.json").write_text(json.dumps(document))
@@ -69,6 +70,14 @@ def test_masks_are_imported_with_a_video_whose_frames_keep_the_names_of_the_rows
     assert [*frames] == [f"{k:04d}" for k in range(FRAMES)]
     assert [frame.mask is not None for frame in frames.values()] == [True] * 3 + [False]
     assert frames["0002"].readings["jaw"] == pytest.approx(0.1)
+
+
+def test_data_set_counted_from_1_has_the_masks_of_frames_counted_from_0(video: list[object], tmp_path: Path) -> None:
+    assert "m.json, in order from 00001 on" in run(*video, "--masks", given_masks(tmp_path, "COCO", 1, FRAMES)).out
+    session = read_session(tmp_path / "out")
+    areas = [int(read_frame(files, session.camera).mask.sum()) for files in session.frames]
+    assert len(areas) == FRAMES
+    assert areas == sorted({*areas})
 
 
 @pytest.mark.parametrize(
