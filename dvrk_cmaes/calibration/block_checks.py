@@ -16,7 +16,6 @@ from dvrk_cmaes.calibration.masks_and_sizes import MARGIN, square_left
 from dvrk_cmaes.calibration.session_camera import CAMERA, IMPLAUSIBLE, camera_undetermined, places_of
 from dvrk_cmaes.calibration.session_problem import Arms, ArmSession, MakeBlock
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.pose.expected_error import file_covariance
 
 _LEAST_FRAMES = 6
@@ -35,24 +34,15 @@ def check_blocks(arms: Arms, tested: Sequence[MakeBlock]) -> list[BlockCheck]:
     if not session.test_camera and not refined:
         reason = _NOT_ASKED
     wide, passes = [arm.outlined(*tested, wide=True) for arm in arms], PASSES if reason is None and not refined else 1
-    try:
-        begun = [arm.with_new_blocks().linearised() for arm in wide]
-        found = linearise(wide, session, passes=passes, first=begun)
-        if far := passes > 1 and not all(one.plausible for one in found):
-            found = linearise(wide, session, passes=1, first=begun)
-        by_file = found
-        if not refined and reason != _NOT_ASKED:
-            by_file = linearise([arm.outlined(*tested, wide=False) for arm in arms], session, first=begun)
-    except InputError as error:
-        return [_unchecked(f"camera: {error}", arm, own.camera) for arm, own in zip(arms, wide, strict=True)]
+    begun = [arm.linearised() for arm in wide]
+    found = linearise(wide, session, passes=passes, first=begun)
+    if far := passes > 1 and not all(one.plausible for one in found):
+        found = linearise(wide, session, passes=1, first=begun)
+    by_file = found
+    if not refined and reason != _NOT_ASKED:
+        by_file = linearise([arm.outlined(*tested, wide=False) for arm in arms], session, first=begun)
     each = zip(arms, found, by_file, wide, strict=True)
     return [_checked(arm, there, near, own.camera, reason, far=far) for arm, there, near, own in each]
-
-
-def _unchecked(reason: str, arm: ArmSession, camera: Camera) -> BlockCheck:
-    """Return the check of an arm whose blocks are not known."""
-    blocks, none = {} if arm.margin is None else {MARGIN: arm.margin}, np.zeros((arm.calibration.own,) * 2)
-    return BlockCheck(reason, none, file_covariance(camera, arm.setup.config.camera), blocks)
 
 
 def _checked(

@@ -6,9 +6,6 @@ likelihood of all observations with the priors of `joints.cable_prior`. A larger
 likely than one offset by a margin; otherwise nothing is corrected. Each frame is corrected by what all other frames
 show of it.
 
-Frames are fitted with the corrections of the round before as a prior, and favour the model that these have. So the
-margin only holds in the last round; before, frames are fitted with the most likely model.
-
 The parameters are not unknowns of the session's linearised problem, as its other constants are: the choice between the
 models needs the likelihood of each, which the filters give with the parameters, and wander differs from frame to frame.
 As such unknowns, those of a chosen model find the same base, and predict frames that are left out hardly better.
@@ -18,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -78,17 +75,19 @@ class CableFit:
 
     ``names`` are the joints. ``parts`` are those besides the offsets; ``gain`` is the logarithm of the ratio of its
     likelihood to that of offsets alone. ``reference`` (C,) are the readings at which coupling adds nothing.
-    ``coefficients`` and ``std`` (C, 2 C + 1) are those of `joints.cables.features` with their standard deviations, zero
-    where a part is missing. ``wander`` and ``noise`` (C,), rad, are standard deviations. ``offset`` (C,), rad, are the
-    mean errors at the reference. ``correction`` is that of each frame by the others.
+    ``coupling`` and ``play`` (C, C), with what the joint's own narrow band adds, have standard deviations; they are
+    zero where a part is missing. ``wander`` and ``noise`` (C,), rad, are standard deviations. ``offset`` (C,), rad, are
+    the mean errors at the reference. ``correction`` is that of each frame by the others.
     """
 
     names: tuple[str, ...]
     parts: tuple[Part, ...]
     gain: float
     reference: Float64
-    coefficients: Float64
-    std: Float64
+    coupling: Float64
+    coupling_std: Float64
+    play: Float64
+    play_std: Float64
     wander: Float64
     noise: Float64
     offset: Float64
@@ -107,8 +106,6 @@ def estimate_cables(
     solution: Solved,
     lag: SessionLag,
     usual: Deviations,
-    offset_std: Float64,
-    margin: float,
 ) -> tuple[CableFit, CableFit]:
     """Fit the cables of a session; returns the fits of `fit_cables`.
 
@@ -120,10 +117,6 @@ def estimate_cables(
         Has the frames' times, and the readings between them.
     usual
         Standard deviations of readings from frame to frame without corrections.
-    offset_std : (1 + J,)
-        Prior standard deviations of the offsets of roll and the instrument's joints, rad.
-    margin
-        As in `fit_cables`.
     """
     names, times = ("roll", *model.names), lag.seconds()
     weights = solution.weights if times is None else solution.weights / frames_alike(times, _ALIKE_SECONDS)
@@ -131,8 +124,9 @@ def estimate_cables(
     readings, prior = np.concatenate([model.outer[:, _ROLL:], model.joints], axis=1), cable_prior(names)
     play, offsets = lag.play(names, readings, prior.model.width), solution.calibration.offsets[1:]
     noise = np.concatenate([usual.outer[_ROLL:], usual.joints])
-    seen = CableSession(names, readings, times, play, information, vector, offsets, offset_std, noise)
-    return fit_cables(seen, prior, margin)
+    std = model.offset_std[1:]
+    seen = CableSession(names, readings, times, play, information, vector, offsets, std, noise)
+    return fit_cables(seen, prior)
 
 
 def observe_errors(
@@ -224,7 +218,11 @@ def _fit(session: CableSession, prior: CablePrior, parts: tuple[Part, ...]) -> C
         values = (means - found.mean[:count])[back]
         correction = Correction(values, widening * np.einsum("nii->ni", covariances)[back])
         noise = noise * np.sqrt(widening)
-    fitted = coefficients, deviations, assumed.wander, noise, session.offsets + found.mean[:count], correction
+    coupling, play, narrow = np.split(coefficients, [count, 2 * count], axis=1)
+    coupling_std, play_std, narrow_std = np.split(deviations, [count, 2 * count], axis=1)
+    own = NARROW * np.eye(count)
+    stated = coupling, coupling_std, play + own * narrow, np.hypot(play_std, own * narrow_std), assumed.wander, noise
+    fitted = *stated, session.offsets + found.mean[:count], correction
     return CableFit(session.names, parts, found.log_likelihood, _reference(session), *fitted)
 
 
@@ -298,27 +296,14 @@ class SessionCables(Document):
         if fits is None or not fits[0].parts:
             return None
         fit, alone = fits
-        count = len(fit.names)
-        coupling, play, narrow = np.split(fit.coefficients, [count, 2 * count], axis=1)
-        coupling_std, play_std, narrow_std = np.split(fit.std, [count, 2 * count], axis=1)
-        own = NARROW * np.eye(count)
+        stated = ("reference", "coupling", "coupling_std", "play", "play_std", "wander", "noise")
+        by_reading = alone.offset, alone.coupling, alone.coupling_std, alone.noise
         return cls(
             parts=fit.parts,
             gain=rounded(fit.gain),
             joints=fit.names,
-            reference=_row(fit.reference),
-            coupling=_table(coupling),
-            coupling_std=_table(coupling_std),
-            play=_table(play + own * narrow),
-            play_std=_table(np.hypot(play_std, own * narrow_std)),
-            wander=_row(fit.wander),
-            noise=_row(fit.noise),
-            alone=CablesAlone(
-                _row(alone.offset),
-                _table(alone.coefficients[:, :count]),
-                _table(alone.std[:, :count]),
-                _row(alone.noise),
-            ),
+            alone=CablesAlone(*map(_plain, by_reading)),
+            **{name: _plain(getattr(fit, name)) for name in stated},
         )
 
     def check(self, where: str, joints: Sequence[str]) -> None:
@@ -375,9 +360,6 @@ def _clear(values: Float64, std: Float64, usual: Float64, least: Float64 | float
     return np.argwhere((np.abs(values) > np.maximum(_CERTAIN * std, least)) & (std <= _DETERMINED * usual)).tolist()
 
 
-def _row(values: Float64) -> Row:
-    return tuple(rounded_array(values))
-
-
-def _table(values: Float64) -> Table:
-    return tuple(_row(row) for row in values)
+def _plain(values: Float64) -> Any:
+    """Return an array as nested tuples of rounded numbers."""
+    return tuple(map(_plain, values)) if values.ndim > 1 else tuple(rounded_array(values))

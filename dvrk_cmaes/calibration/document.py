@@ -333,21 +333,23 @@ class SessionCalibration:
         if missing:
             raise InputError(f"session: spreads: expected those of {', '.join(needed)}, got no {', '.join(missing)}")
         values = [self.spreads[name] for name in needed]
-        slack = np.array([values[-2]] * 3 + [values[-1]] * 3)
         offsets = np.array(list(self.offsets.values()))
         correction = Correction.none(*joints.shape)
         if self.cables is not None:
             values[3:-2] = self.cables.alone.noise
             offsets[1:] = self.cables.alone.offset
             correction = self.cables.correction_alone(np.concatenate([outer[:, 3:], joints], axis=1))
+        slack = np.array([values[-2]] * 3 + [values[-1]] * 3)
+        spreads = Deviations(np.array(values[:4]), np.array(values[4:-2]), slack)
         model = SessionModel(
             outer,
             joints,
             joint_names,
-            Deviations(np.array(values[:4]), np.array(values[4:-2]), slack),
+            spreads,
+            spreads,
             self.arm,
             self.roll_offset,
-            self._elsewhere(joints, joint_names, np.array(values[4:-2])),
+            self._elsewhere(joints, joint_names, spreads.joints),
             correction,
             np.full(len(names), np.inf),
             endoscope,

@@ -85,8 +85,7 @@ class ArmOutlines:
     They are linearised about the poses ``at`` and the values of the ``calibration``. ``stored`` are the frames,
     ``model`` is that of their readings, ``views`` (N,) are the numbers of the views; a frame without one does not
     influence the estimate. ``run`` applies a function to many tasks. ``common`` are the errors that the frames share.
-    Of the ``blocks``, those that the calibration lacks start as `SeenBlock.start` says. ``camera`` is that of the first
-    frame in its view, as its file has it.
+    ``camera`` is that of the first frame in its view, as its file has it.
     """
 
     model: SessionModel
@@ -96,32 +95,21 @@ class ArmOutlines:
     views: Sequence[int | None]
     run: Run[Any, Any]
     common: CommonErrors
-    blocks: tuple[SeenBlock, ...]
     camera: Camera
 
-    def with_new_blocks(self) -> ArmOutlines:
-        """Return the same with a calibration that also has the blocks, new ones at their start."""
-        new = [one for one in self.blocks if one.name not in self.calibration.values]
-        return replace(self, calibration=self.calibration.with_blocks(*new))
-
     def linearised(self) -> FrameFits:
-        """Linearise the outlines in poses, joints and blocks.
-
-        Raises
-        ------
-        InputError
-            With a changed focal length, the lens distortion is not one-to-one over the image.
-        """
+        """Linearise the outlines in poses, joints and blocks."""
         known = self.calibration.values
-        values = {one.name: np.where(one.is_linear, one.start, known[one.name]) for one in self.blocks}
+        blocks = self.calibration.seen
+        values = {one.name: one.start if one.is_linear else known[one.name] for one in blocks}
         tasks = list[tuple[StoredFrame, int, ViewAsSeen, Posed, tuple[SeenBlock, ...]]]()
         for k, (stored, number) in enumerate(zip(self.stored, self.views, strict=True)):
             if number is not None:
                 view = stored.views[number]
                 by = ViewAsSeen(view.evidence.camera, view.view_from_camera, 0.0)
-                for block in self.blocks:
+                for block in blocks:
                     by = block.seen(by, values[block.name])
-                tasks.append((stored, number, by, self.at[k], self.blocks))
+                tasks.append((stored, number, by, self.at[k], blocks))
         found = iter(self.run(outline_task, tasks))
         size = 6 + self.at.joints.shape[1] + sum(len(block) for block in values.values())
         terms = [Quadratic.zero(1, size) if view is None else next(found) for view in self.views]
@@ -204,13 +192,8 @@ def linearise(
         Largest number of linearisations.
     first
         The first linearisation of each arm, where several estimates begin with the same (`ArmOutlines.linearised`).
-
-    Raises
-    ------
-    InputError
-        As `ArmOutlines.linearised`.
     """
-    arms, fits = [arm.with_new_blocks() for arm in arms], first
+    fits = first
     for _ in range(passes):
         fits = [arm.linearised() for arm in arms] if fits is None else fits
         frames = [ArmFrames(arm.model, own, arm.calibration) for arm, own in zip(arms, fits, strict=True)]

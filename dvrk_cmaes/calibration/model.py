@@ -89,8 +89,8 @@ class SessionModel:
         Readings of the instrument's joints, rad; NaN where there is none.
     names
         Names of the instrument's joints.
-    deviations
-        Standard deviations of the errors that vary from frame to frame.
+    usual, deviations
+        Standard deviations of the errors that vary from frame to frame: their initial values, and those now.
     arm, roll_offset
         Kinematics of the outer arm, as in `base_from_root`.
     inflation : (N, 1 + J)
@@ -106,6 +106,7 @@ class SessionModel:
     outer: Float64
     joints: Float64
     names: tuple[str, ...]
+    usual: Deviations
     deviations: Deviations
     arm: Arm
     roll_offset: float
@@ -128,7 +129,7 @@ class SessionModel:
         names = instrument.joint_names
         joints, deviations = _columns(readings, names), Deviations.of(config.session, names)
         none, std = Correction.none(*joints.shape), offset_deviations(config, names)
-        read = outer_readings(readings), joints, names, deviations
+        read = outer_readings(readings), joints, names, deviations, deviations
         return cls(*read, arm, instrument.roll_offset, np.ones(none.values.shape), none, std, endoscope)
 
     def calibration(self, camera_from_base: Float64, offsets: Float64) -> Calibration:

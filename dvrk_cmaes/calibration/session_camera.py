@@ -22,6 +22,7 @@ from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.session_frame import changed
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import CameraConfig, EstimateConfig
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.expected_error import PARAMETERS, displacements, file_covariance
@@ -84,7 +85,11 @@ class CameraChange(CameraErrors):
         self.known, self.weak, self.used, self._camera = file, _WEAK_STD, change is not None, camera
 
     def is_plausible(self, values: Float64) -> bool:
-        """Whether the outlines are not likely to have left the image."""
+        """Whether the outlines are not likely to have left the image, over which the lens remains one-to-one."""
+        try:
+            changed(self._camera, values)
+        except InputError:
+            return False
         return bool((np.abs(values) < PLAUSIBLE * _WEAK_STD).all())
 
     def seen(self, by: ViewAsSeen, values: Float64) -> ViewAsSeen:

@@ -67,7 +67,7 @@ def doubts_of(
     """
     settings = SessionConfig() if config is None else config
     camera = calibration.blocks.get("camera")
-    by_file = camera is None or not camera.applied
+    by_file, unusual = camera is None or not camera.applied, unusual_insertion(calibration, settings)
     return (
         *reasons(
             predicts_badly(calibration, LARGEST_PREDICTED_PX * pixel_scale),
@@ -76,7 +76,7 @@ def doubts_of(
         ),
         *(block.doubt for block in calibration.blocks.values() if block.doubt and not block.applied),
         *known_mistakes(calibration.remarks if by_file else ()),
-        *reasons(insertion_off(calibration, settings)),
+        *([unusual] if unusual and abs(calibration.offsets["insertion"]) > _LARGEST_INSERTION else []),
         *offsets_beyond_cables(calibration),
         *reasons(f"lag between images and readings: {without_lag}" if without_lag and not calibration.lag else None),
         *reasons(ends_missing(ends_lacking)),
@@ -129,12 +129,6 @@ def ends_missing(missing: Sequence[bool]) -> str | None:
     if sum(missing) > _LACKING_SHARE * len(missing):
         return f"the ends of the jaws are missing from the masks in {sum(missing)} of {len(missing)} frames"
     return None
-
-
-def insertion_off(calibration: SessionCalibration, settings: SessionConfig) -> str | None:
-    """Judge the offset of insertion."""
-    unusual = unusual_insertion(calibration, settings)
-    return unusual if unusual and abs(calibration.offsets["insertion"]) > _LARGEST_INSERTION else None
 
 
 def offsets_beyond_cables(calibration: SessionCalibration) -> list[str]:

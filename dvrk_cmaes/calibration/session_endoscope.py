@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from dvrk_cmaes.calibration.blocks import ENDOSCOPE, Calibration
-from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Consensus, Mode, agreement, evenly_spaced, find_consensus
+from dvrk_cmaes.calibration.consensus import Consensus, Mode, agreement, evenly_spaced, find_consensus
 from dvrk_cmaes.calibration.endoscope import (
     OFFSET_STD,
     Endoscope,
@@ -146,8 +146,7 @@ def _bases_of_runs(model: SessionModel, modes: Sequence[Sequence[Mode]], roll: f
         own, own_modes = model.subset(index), [modes[i] for i in index]
         start = find_consensus(own, own_modes, roll=roll).calibration
         solution = solve_with_modes(own, own_modes, start)
-        agree = solution.misfit < INLIER_MISFIT * (4 + len(solution.calibration.offsets))
-        if agree.sum() >= max(LEAST_PIECE, _AGREE * len(agree)):
+        if solution.agree.sum() >= max(LEAST_PIECE, _AGREE * len(index)):
             found.append(solution.calibration)
     return found
 

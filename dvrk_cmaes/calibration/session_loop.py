@@ -16,9 +16,8 @@ from typing import Final
 import numpy as np
 
 from dvrk_cmaes.calibration.block_checks import check_blocks
-from dvrk_cmaes.calibration.cables import MARGIN, estimate_cables
+from dvrk_cmaes.calibration.cables import estimate_cables
 from dvrk_cmaes.calibration.consensus import (
-    INLIER_MISFIT,
     check_arm,
     check_motion,
     choose_modes,
@@ -186,7 +185,7 @@ def solved(arms: Arms) -> Arms:
         scale = setup.config.session.loosened ** max(1 - (number - 1) / 2, 0.0)
         last = number == _ROUNDS
         arms = [_fitted(arm, scale, last=last) for arm in arms]
-        arms = _estimated(arms, keep_all=scale != 1.0, last=last)
+        arms = _estimated(arms, keep_all=scale != 1.0)
         if number == _ROUNDS - 1 or (setup.refine_camera and not last):
             arms = _with_seen(arms, last=number == _ROUNDS - 1)
     found, out = solve_arms([ArmFrames(arm.model, arm.outlines(), arm.calibration) for arm in arms]), []
@@ -210,7 +209,7 @@ def _fitted(arm: ArmSession, scale: float, *, last: bool) -> ArmSession:
     """
     turn = float(np.deg2rad(arm.setup.config.session.turn_deg))
     expected = arm.model.priors(arm.calibration, scale=scale)
-    agrees = (arm.solution.misfit / (6 + len(arm.model.names)) < INLIER_MISFIT).tolist()
+    agrees = arm.solution.agree.tolist()
     before: list[tuple[Posed, ...]]
     if arm.fits:
         agrees = [clear and fit.explains_mask for clear, fit in zip(agrees, arm.fits, strict=True)]
@@ -229,11 +228,10 @@ def _fitted(arm: ArmSession, scale: float, *, last: bool) -> ArmSession:
     return replace(arm, fits=tuple(found[i] for i in range(len(arm.frames))))
 
 
-def _estimated(arms: Arms, *, keep_all: bool, last: bool) -> Arms:
+def _estimated(arms: Arms, *, keep_all: bool) -> Arms:
     """Estimate base, offsets, variances and cables of all arms from the current fits.
 
-    ``keep_all`` is whether fits that do not explain the mask count as well. Cables must be more likely by a margin in
-    the ``last`` round. `InputError` if too few fits count.
+    ``keep_all`` is whether fits that do not explain the mask count as well. `InputError` if too few fits count.
     """
     if not keep_all:
         for arm in arms:
@@ -241,7 +239,7 @@ def _estimated(arms: Arms, *, keep_all: bool, last: bool) -> Arms:
     fits = [arm.outlines(keep_all=keep_all) for arm in arms]
     arms = [replace(arm, moved=None) for arm in _with_variances(arms, fits)]
     if not keep_all and arms[0].setup.config.session.cables:
-        arms = [_with_cables(arm, own, MARGIN if last else 0.0) for arm, own in zip(arms, fits, strict=True)]
+        arms = [_with_cables(arm, own) for arm, own in zip(arms, fits, strict=True)]
         if any(arm.cables is not None and arm.cables[0].parts for arm in arms):
             arms = _with_variances(arms, fits)
     return arms
@@ -249,21 +247,17 @@ def _estimated(arms: Arms, *, keep_all: bool, last: bool) -> Arms:
 
 def _with_variances(arms: Arms, fits: Sequence[FrameFits]) -> Arms:
     """Estimate the calibrations together with the variances."""
-    session, usual = arms[0].setup.config.session, []
-    for arm in arms:
-        own = Deviations.of(session, arm.model.names)
-        usual.append(own if arm.cables is None else arm.cables[0].deviations(own))
     frames = [ArmFrames(arm.model, own, arm.calibration) for arm, own in zip(arms, fits, strict=True)]
-    each = zip(arms, *solve_with_variances(frames, session, usual), strict=True)
+    each = zip(arms, *solve_with_variances(frames, arms[0].setup.config.session), strict=True)
     return [replace(arm, model=model, found=own) for arm, model, own in each]
 
 
-def _with_cables(arm: ArmSession, fits: FrameFits, margin: float) -> ArmSession:
+def _with_cables(arm: ArmSession, fits: FrameFits) -> ArmSession:
     """Fit what cables do to the readings, besides the blocks: `cables` says why."""
-    usual, std = Deviations.of(arm.setup.config.session, arm.model.names), arm.model.offset_std[1:]
-    cables = estimate_cables(arm.model, fits, arm.solution, arm.lag, usual, std, margin)
-    own = cables[0].deviations(arm.model.deviations)
-    model = replace(arm.model, correction=cables[0].correction, deviations=own)
+    usual = Deviations.of(arm.setup.config.session, arm.model.names)
+    cables = estimate_cables(arm.model, fits, arm.solution, arm.lag, usual)
+    usual, own = (cables[0].deviations(one) for one in (usual, arm.model.deviations))
+    model = replace(arm.model, correction=cables[0].correction, deviations=own, usual=usual)
     return replace(arm, cables=cables, model=model)
 
 
@@ -337,9 +331,8 @@ def predict_from_first(
         arm = initialised(started([ArmSession.of(setup, [frame for frame in first if not frame.lacks])])[0])
     except InputError:  # too few frames, or they contradict each other: then they show nothing about the others
         return {}
-    agree = arm.solution.misfit < INLIER_MISFIT * (6 + len(arm.model.names))
     endoscope, lag, series = arm.model.endoscope, arm.lag.applied, setup.series
-    if agree.mean() < _LEAST_AGREEING or isinstance(endoscope, Pieces):
+    if arm.solution.agree.mean() < _LEAST_AGREEING or isinstance(endoscope, Pieces):
         return {}
     readings = {
         name: own if lag is None or series is None or name not in series.frames else series.of_frame(name, lag)

@@ -207,14 +207,14 @@ class ArmSession:
             MaskMargin(camera.pixel_scale, self.taken_off, used=self.change is None),
             *(make(config, self.setup.instrument, camera) for make in tested),
         )
-        at, shared = Posed.stacked(one.at for one in self.fits), (self.setup.run, self.common)
-        return ArmOutlines(self.model, self.calibration, at, self.stored, numbers, *shared, blocks, camera)
+        calibration, at = self.calibration.with_blocks(*blocks), Posed.stacked(one.at for one in self.fits)
+        return ArmOutlines(self.model, calibration, at, self.stored, numbers, self.setup.run, self.common, camera)
 
     @property
     def disagreements(self) -> list[str]:
         """Why each frame disagrees with the calibration; an empty text where it agrees."""
-        misfits = self.solution.misfit / (6 + len(self.model.names))
-        return [self._disagreement(fit, misfit) for fit, misfit in zip(self.fits, misfits.tolist(), strict=True)]
+        pairs = zip(self.fits, self.solution.misfit.tolist(), strict=True)
+        return [self._disagreement(fit, misfit) for fit, misfit in pairs]
 
     @property
     def agreeing(self) -> int:

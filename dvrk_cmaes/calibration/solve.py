@@ -22,11 +22,11 @@ from typing import NamedTuple
 import numpy as np
 
 from dvrk_cmaes.calibration.blocks import Calibration
-from dvrk_cmaes.calibration.consensus import Mode, choose_modes
+from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Mode, choose_modes
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.model import CommonErrors, Deviations, SessionModel, frames_alike
 from dvrk_cmaes.config import SessionConfig
-from dvrk_cmaes.geometry import Float64, Indices, Posed
+from dvrk_cmaes.geometry import Bool, Float64, Indices, Posed
 from dvrk_cmaes.pose.refine.information import Eliminated, eliminate, times
 from dvrk_cmaes.pose.terms.term import Quadratic
 
@@ -156,9 +156,9 @@ class Solved:
     """An arm's part of a solution, by the K unknowns on which its N frames depend; it is number ``arm`` of the session.
 
     ``weights`` (N,) are the robust weights of the frames, ``misfit`` (N,) their squared Mahalanobis distances between
-    outline and prediction. ``frame_information`` (N, K, K) and ``frame_slopes`` (N, K) are what each frame adds to the
-    information matrix of the ``whole`` and to the gradient of half the sum of squares, less where frames count as a
-    share of one.
+    outline and prediction, per parameter. ``frame_information`` (N, K, K) and ``frame_slopes`` (N, K) are what each
+    frame adds to the information matrix of the ``whole`` and to the gradient of half the sum of squares, less where
+    frames count as a share of one.
     """
 
     calibration: Calibration
@@ -168,6 +168,11 @@ class Solved:
     frame_slopes: Float64
     whole: Equations
     arm: int
+
+    @property
+    def agree(self) -> Bool:
+        """Whether each frame agrees with the solution, (N,)."""
+        return np.asarray(self.misfit < INLIER_MISFIT)
 
     @property
     def _place(self) -> tuple[Indices, Indices]:
@@ -269,13 +274,9 @@ def solution_at(arms: Sequence[ArmFrames]) -> list[Solved]:
     information, independent, gradient = prior.copy(), prior.copy(), prior @ deviation
     parts, found = np.zeros((_PARTS, count)), list[partial[Solved]]()
     for (model, fits, calibration), place in zip(arms, places, strict=True):
-        frames, jacobian, both = (
-            marginalise(model, fits, calibration),
-            model.jacobian(calibration),
-            np.ix_(place, place),
-        )
-        misfit = _misfit(frames, fits.optimum(calibration.further))
-        weights = robust_weights(misfit, 6 + len(model.names))
+        frames, jacobian = marginalise(model, fits, calibration), model.jacobian(calibration)
+        misfit, both = _misfit(frames, fits.optimum(calibration.further)), np.ix_(place, place)
+        weights = robust_weights(misfit)
         weighted = np.swapaxes(jacobian, 1, 2) * (fits.shares * weights)[:, None, None]
         of_frames, slopes = weighted @ frames.left.information @ jacobian, times(weighted, frames.left.slope)
         information[both] += of_frames.sum(axis=0)
@@ -293,22 +294,22 @@ def solution_at(arms: Sequence[ArmFrames]) -> list[Solved]:
 
 
 def _misfit(frames: Eliminated, optimum: Float64) -> Float64:
-    """Return the squared Mahalanobis distances (N,) between predictions and the outlines' own optima (N, D).
+    """Return the squared Mahalanobis distances (N,), per parameter, between predictions and outlines' optima (N, D).
 
-    Their expectation is D if the model holds.
+    Their expectation is 1 if the model holds.
     """
     difference = frames.expected - optimum
     own = optimum.shape[1]
-    squares = (difference * times(frames.left.information[:, :own, :own], difference)).sum(axis=1)
+    squares = (difference * times(frames.left.information[:, :own, :own], difference)).mean(axis=1)
     return np.asarray(np.maximum(squares, 0))  # without information, rounding errors can make them slightly negative
 
 
-def robust_weights(misfit: Float64, dimension: int) -> Float64:
-    """Return the Geman-McClure weights (N,) of frames with some misfits (N,), whose expectation is ``dimension``.
+def robust_weights(misfit: Float64) -> Float64:
+    """Return the Geman-McClure weights (N,) of frames with some misfits (N,) per parameter.
 
     A frame with the expected misfit has weight 1; smaller weights would make the covariance too large.
     """
-    return np.asarray(np.minimum((1 + _ROBUST**-2) / (1 + misfit / (dimension * _ROBUST**2)), 1) ** 2)
+    return np.asarray(np.minimum((1 + _ROBUST**-2) / (1 + misfit / _ROBUST**2), 1) ** 2)
 
 
 def leave_one_out(solution: Solved, index: int) -> Calibration:
@@ -321,35 +322,22 @@ def leave_one_out(solution: Solved, index: int) -> Calibration:
 
 
 def solve_with_variances(
-    arms: Sequence[ArmFrames],
-    config: SessionConfig,
-    initial: Sequence[Deviations | None] | None = None,
-    *,
-    steps: int = MOST_STEPS,
+    arms: Sequence[ArmFrames], config: SessionConfig, *, steps: int = MOST_STEPS
 ) -> tuple[list[SessionModel], list[Solved]]:
     """Alternate between estimating the calibrations and the variances of each arm; arguments as in `solve_arms`.
 
-    ``config`` and ``initial``, by arm, are as in `estimate_variances`.
+    ``config`` is as in `estimate_variances`.
     """
-    starts = [None] * len(arms) if initial is None else list(initial)
     for _ in range(_ITERATIONS):
         solutions = solve_arms(arms, steps=steps)
-        models = [
-            estimate_variances(arm.model, arm.fits, own, config, start)
-            for arm, own, start in zip(arms, solutions, starts, strict=True)
-        ]
+        pairs = zip(arms, solutions, strict=True)
+        models = [estimate_variances(arm.model, arm.fits, own, config) for arm, own in pairs]
         each = zip(arms, models, solutions, strict=True)
         arms = [ArmFrames(model, arm.fits, own.calibration) for arm, model, own in each]
     return models, solutions
 
 
-def estimate_variances(
-    model: SessionModel,
-    fits: FrameFits,
-    solution: Solved,
-    config: SessionConfig,
-    initial: Deviations | None = None,
-) -> SessionModel:
+def estimate_variances(model: SessionModel, fits: FrameFits, solution: Solved, config: SessionConfig) -> SessionModel:
     """Return the model after one iteration of expectation-maximisation.
 
     Parameters
@@ -359,12 +347,9 @@ def estimate_variances(
     solution
         Their solution: the calibration, taken as known, and the robust weights of the frames.
     config
-        Initial standard deviations and their limits.
-    initial
-        Initial standard deviations, where they are not those of ``config``.
+        Limits of the standard deviations, and the weight of their initial values.
     """
-    start = Deviations.of(config, model.names) if initial is None else initial
-    first, now = (np.concatenate([*vars(one).values()]) for one in (start, model.deviations))
+    first, now = (np.concatenate([*vars(one).values()]) for one in (model.usual, model.deviations))
     joints, weights = len(model.names), solution.weights
     frames = marginalise(model, fits, solution.calibration)
     # of standard normal errors of outer joints, joints and slack, (N, 6 + J, 10 + J)

@@ -158,7 +158,7 @@ class Window:
         own = np.linalg.pinv(fit.information, rcond=1e-9, hermitian=True)
         least = deviation - own @ fit.slope
         misfit = float(least @ np.linalg.solve(spread + own, least)) / size
-        weight = float(robust_weights(np.array([misfit * size]), size)[0]) if fitted.holds else 0.0
+        weight = float(robust_weights(np.array([misfit]))[0]) if fitted.holds else 0.0
         weight /= inflation * _CORRELATED_FRAMES
         optimum = weight * (fit.information @ deviation - fit.slope)
         return WindowImage(time, predicted, k, weight * fit.information, optimum, weight * fit.by_margin, misfit)
