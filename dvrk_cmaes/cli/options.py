@@ -41,7 +41,7 @@ MOST_PROCESSES = 1000
 MOST_SKIPPED = 1_000_000  # of --every
 AUTO = "auto"  # of --lag
 NO_READINGS = "none"  # of --joints
-TWIN = "poses may be those of a mirror twin, and are doubtful"
+TWIN = "poses may be those of a mirror twin, and are doubtful; --joints FILE gives readings"
 """What follows where there are no readings."""
 _OF_MESHES = 4.3e-3, 4.45e-3
 """Radii between which that of the meshes of the dVRK's description is, 4.37 mm, m."""

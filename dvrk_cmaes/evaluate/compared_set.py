@@ -14,6 +14,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.paired_names import named_as
 from dvrk_cmaes.frames.truth import read_golden, read_published_poses
 from dvrk_cmaes.geometry import Float64
+from dvrk_cmaes.io.short_text import no_folder
 from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.results.followed import result_of_row
 from dvrk_cmaes.results.result import Result
@@ -74,7 +75,7 @@ def read_compared_set(path: Path) -> ComparedSet:
     if path.suffix.lower() == ".json":
         return _truth(path)
     if not path.is_dir():
-        raise InputError(f"{path}: no such folder; expected results, a golden.json, or a published.csv")
+        raise InputError(f"{path}: {no_folder(path)}; expected results, a golden.json, or a published.csv")
     if (path / TRACKS).is_file():
         rows = read_tracks(path / TRACKS)
         frames = {str(row["frame"]): _followed(f"{path / TRACKS}: frame {row['frame']}", row) for row in rows}
