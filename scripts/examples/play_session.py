@@ -239,13 +239,13 @@ def png(mask: np.ndarray) -> str:
 def main(folder: str, port: int = 9090) -> None:
     """Send a session folder's messages once, when a client has subscribed to them; ``port`` 0 is any that is free."""
     robot, server = Robot(folder), RosbridgeServer(port)
+    messages = robot.messages()  # before a client waits for the first one
     server.start()
     print(f"dvrk-cmaes live --port {server.port} {robot.options}", flush=True)
     while not {*robot.evidence, *robot.joints.values()} <= server.subscribed.keys():
         time.sleep(0.1)
     for topic, info in robot.cameras().items():
         server.send(topic, info)
-    messages = robot.messages()
     began = time.monotonic() - messages[0][0]
     for moment, topic, fields in messages:
         time.sleep(max(0.0, began + moment - time.monotonic()))
