@@ -327,7 +327,5 @@ def test_masks_that_meet_no_image_are_refused_and_those_of_tasks_are_paired_in_o
 def test_masks_of_a_data_set_meet_the_images(reports: Path) -> None:
     session = read_session(reports / "names-do-not-meet" / "roboflow")
     assert [frame.name for frame in session.frames] == ["0000", "0001"]
-    for frame in session.frames:
-        assert frame.image is not None
-        assert frame.readings
-        assert read_frame(frame, session.camera).mask.any()
+    assert all(frame.image and frame.readings for frame in session.frames)
+    assert all(read_frame(frame, session.camera).mask.any() for frame in session.frames)

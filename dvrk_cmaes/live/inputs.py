@@ -255,7 +255,9 @@ class Inputs:
                 self._silent[topic] = "messages again" if topic in self._heard else "first message"
                 self._report(f"{topic}: no message for {quiet:.1f} s")
             elif quiet <= self._longest_silence and topic in self._silent:
-                self._report(f"{topic}: {self._silent.pop(topic)}")
+                said = self._silent.pop(topic)
+                if now - self._heard.get(topic, -np.inf) <= self._longest_silence:  # else the connection was lost
+                    self._report(f"{topic}: {said}")
         return tuple(topic for topic in self.topics.timed if topic in self._silent)
 
     def _on_part(self, eye: str, topic: str, fields: Fields) -> None:

@@ -156,6 +156,8 @@ def test_topics_are_silent_only_from_the_connection_on() -> None:
     robot.send("/PSM1/measured_js", {"header": stamp(0.0), "name": ["jaw"], "position": [0.5]})
     robot.inputs.report_silence()
     assert robot.lines[-1] == "/PSM1/measured_js: first message"
+    wire.up, robot.clock.now = False, 106.0
+    assert (robot.inputs.report_silence(), len(robot.lines)) == ((), 3)
 
 
 def test_images_without_the_masks_that_are_awaited_are_no_frames_and_no_error() -> None:
