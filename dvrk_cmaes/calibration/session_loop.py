@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.block_checks import check_blocks
+from dvrk_cmaes.calibration.blocks import BlockCheck, FoundBlock
 from dvrk_cmaes.calibration.cables import estimate_cables
 from dvrk_cmaes.calibration.consensus import (
     check_arm,
@@ -27,17 +27,26 @@ from dvrk_cmaes.calibration.endoscope import Pieces, Place, Steered
 from dvrk_cmaes.calibration.frame_fit import starts_of
 from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, in_common
 from dvrk_cmaes.calibration.lag_search import find_lag
-from dvrk_cmaes.calibration.linearise import linearise
-from dvrk_cmaes.calibration.masks_and_sizes import PartSizes, WholeSize
+from dvrk_cmaes.calibration.linearise import PASSES, Linearised, linearise
+from dvrk_cmaes.calibration.masks_and_sizes import MARGIN, PartSizes, WholeSize, square_left
 from dvrk_cmaes.calibration.model import Deviations, SessionModel, ecm_readings, frames_alike, outer_readings
-from dvrk_cmaes.calibration.session_camera import CAMERA, IMPLAUSIBLE, Lens, camera_undetermined, describe_found
+from dvrk_cmaes.calibration.session_camera import (
+    CAMERA,
+    IMPLAUSIBLE,
+    Lens,
+    camera_undetermined,
+    describe_found,
+    places_of,
+)
 from dvrk_cmaes.calibration.session_endoscope import LEAST_PIECE, describe_pieces, find_hand_eye, find_pieces
 from dvrk_cmaes.calibration.session_frame import SessionFrame, fit_task, gather_task
 from dvrk_cmaes.calibration.session_problem import LEAST_FRAMES, Arms, ArmSession, ArmSetup, MakeBlock
 from dvrk_cmaes.calibration.session_rig import turns_of
 from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, solve_arms, solve_with_modes, solve_with_variances
+from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.pose.expected_error import file_covariance
 
 TESTED: Final[tuple[MakeBlock, ...]] = (PartSizes, WholeSize, Lens)
 """What makes the blocks for which every session is tested besides camera and margin."""
@@ -51,6 +60,8 @@ _OTHER_TIP: Final = (
     "the arms show another camera in the endoscope's tip: each has its own; one arm's readings may be wrong"
 )
 _HAND_EYE: Final = 10  # unknowns that do not differ from place to place
+_LEAST_TESTED = 6  # frames, by which a camera is tested
+_NOT_ASKED = "camera: not tested, as the settings say"
 _LEAST_AGREEING = 0.7  # of the frames, from which on others are predicted from them
 
 
@@ -294,7 +305,7 @@ def checked(arms: Arms) -> Arms:
     out = list[ArmSession]()
     for arm in arms:
         arm.setup.progress("checking the camera", len(arm.frames))
-    for arm, check in zip(arms, check_blocks(arms, TESTED), strict=True):
+    for arm, check in zip(arms, _checks(arms), strict=True):
         arm, camera = replace(arm, check=check), check.blocks.get(CAMERA)
         if camera is None:
             arm = arm.noted(undetermined=[check.undetermined])
@@ -306,26 +317,65 @@ def checked(arms: Arms) -> Arms:
     return out
 
 
+def _checks(arms: Arms) -> list[BlockCheck]:
+    """Return what the frames of arms that are solved show of camera, margin and the blocks that are tested.
+
+    The camera is estimated with a wide prior, all others with its file as a measurement of it. Where the former is not
+    plausible, only what the frames show at the camera of the file is left, which may contradict it or say nothing.
+    """
+    session, refined = arms[0].setup.config.session, arms[0].change is not None
+    reasons = [camera_undetermined(arm.model, _LEAST_TESTED, "test") for arm in arms]
+    reason = None if None in reasons else reasons[0]
+    if not session.test_camera and not refined:
+        reason = _NOT_ASKED
+    wide, passes = [arm.outlined(*TESTED, wide=True) for arm in arms], PASSES if reason is None and not refined else 1
+    begun = [arm.linearised() for arm in wide]
+    found = linearise(wide, session, passes=passes, first=begun)
+    if far := passes > 1 and not all(one.plausible for one in found):
+        found = linearise(wide, session, passes=1, first=begun)
+    by_file = found
+    if not refined and reason != _NOT_ASKED:
+        by_file = linearise([arm.outlined(*TESTED, wide=False) for arm in arms], session, first=begun)
+    each = zip(arms, found, by_file, wide, strict=True)
+    return [_check(arm, there, near, own.camera, reason, far=far) for arm, there, near, own in each]
+
+
+def _check(
+    arm: ArmSession, there: Linearised, near: Linearised, camera: Camera, reason: str | None, *, far: bool
+) -> BlockCheck:
+    """Judge the estimates of an arm with a wide prior of the camera, and ``near`` its file.
+
+    ``reason`` is why the camera is not tested, ``far`` whether its estimate was not plausible.
+    """
+    config, blocks = arm.setup.config, dict[str, FoundBlock]()
+    errors, covariance = file_covariance(camera, config.camera), np.zeros((arm.calibration.own,) * 2)
+    for block in there.blocks:
+        alone, spread = (there if block.name == CAMERA else near).shown_of(block)
+        found, left = block.stated(alone, config.session.shared_errors**2 * spread if block.is_alike else spread)
+        if block.name == MARGIN and arm.margin is not None:
+            found, left = arm.margin, square_left(arm.margin)
+        moves, of_errors = near.moved_by(block), np.ix_(*[places_of(block.parameters)] * 2)
+        if block.name == CAMERA and (reason or (far and not found.doubt)):
+            reason, left = reason or IMPLAUSIBLE, errors[of_errors]
+        else:
+            blocks[block.name] = found.moving(moves)
+        if block.parameters:
+            errors[of_errors] = left
+        if block.widens:
+            covariance += moves @ left @ moves.T
+    return BlockCheck(reason or "", covariance, errors, blocks)
+
+
 def predict_from_first(
     first: Sequence[SessionFrame], others: Mapping[str, Mapping[str, float]], setup: ArmSetup
 ) -> dict[str, Posed]:
     """Predict frames of a recording from the modes of its ``first`` frames, in the order they were taken.
 
-    Parameters
-    ----------
-    first
-        Frames that were estimated by themselves.
-    others
-        The readings of the frames to predict, by name, rad and m.
-    setup
-        The recording's instrument, arm, settings and all readings.
-
-    Returns
-    -------
-    dict of str to Posed
-        The root's pose in the reference camera and the joints, by name; without the frames that have no readings of
-        all outer joints at the time of their image less the lag. Empty if the first frames do not agree, or the base
-        moved: in which piece the others are is not known yet.
+    ``first`` were estimated by themselves, ``others`` are the readings of the frames to predict, by name, rad and m,
+    and ``setup`` has the recording's instrument, arm, settings and all readings. Returns the root's pose in the
+    reference camera and the joints, by name, of frames that have readings of all outer joints at the time of their
+    image less the lag. Empty if the first frames do not agree, or the base moved: in which piece the others are is not
+    known yet.
     """
     try:
         arm = initialised(started([ArmSession.of(setup, [frame for frame in first if not frame.lacks])])[0])
