@@ -9,7 +9,9 @@ from __future__ import annotations
 import difflib
 import shlex
 import sys
+import traceback
 from collections.abc import Iterable
+from pathlib import Path
 
 
 class DvrkCmaesError(Exception):
@@ -56,3 +58,9 @@ def one_line(error: BaseException) -> str:
         text = f"{text} is missing"
     text = text or type(error).__name__
     return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
+
+
+def internal_error(error: BaseException) -> str:
+    """Say of an exception that nothing expects what it is, where it was raised, and its message, in one line."""
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    return f"internal error: {type(error).__name__} at {Path(place.filename).name}:{place.lineno}: {one_line(error)}"

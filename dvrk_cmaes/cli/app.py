@@ -10,14 +10,13 @@ import traceback
 import warnings
 from collections.abc import Sequence
 from itertools import pairwise
-from pathlib import Path
 from typing import Final
 
 from cyclopts import App, CycloptsError, MissingArgumentError, UnusedCliTokensError
 
 from dvrk_cmaes.cli.help import topic_pages
 from dvrk_cmaes.cli.terminal import INTERRUPTED, discard_stdout, prepare_streams, print_error
-from dvrk_cmaes.errors import DvrkCmaesError, InputError, one_line
+from dvrk_cmaes.errors import DvrkCmaesError, InputError, internal_error
 
 _DEBUG = "--debug"
 
@@ -179,9 +178,7 @@ def _said(error: BaseException, tokens: Sequence[str]) -> int:
                 return InputError.exit_code
             discard_stdout()
         case _:
-            place = traceback.extract_tb(error.__traceback__)[-1]
-            where = f"{type(error).__name__} at {Path(place.filename).name}:{place.lineno}"
-            print_error(f"internal error: {where}: {one_line(error)}; {_DEBUG} shows where")
+            print_error(f"{internal_error(error)}; {_DEBUG} shows where")
     return DvrkCmaesError.exit_code
 
 

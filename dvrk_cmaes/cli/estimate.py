@@ -22,6 +22,7 @@ from dvrk_cmaes.cli.options import (
     UrdfOptions,
     joint_files,
     options,
+    parse_numbers,
     parse_pixel,
 )
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer, exit_code, note, table_lines, warn
@@ -125,15 +126,19 @@ class FrameOptions:
 
     def files(self, camera: FrameCameraOptions) -> FrameFiles:
         """Return the files of the frame, without readings; InputError for a value that is not valid."""
+        import numpy as np
+
         from dvrk_cmaes.frames.frame import FrameFiles
-        from dvrk_cmaes.frames.keypoints import parse_keypoints
         from dvrk_cmaes.frames.label import parse_label
         from dvrk_cmaes.frames.picture_fit import parse_crop
         from dvrk_cmaes.joints.interpolation import NANOSECONDS
         from dvrk_cmaes.joints.times import parse_time, time_in_name
 
         assert self.named is not None
-        tips = None if self.keypoints is None else parse_keypoints(self.keypoints)
+        tips = None
+        if self.keypoints is not None:
+            pixels = parse_numbers("keypoints", self.keypoints, "four numbers u1,v1,u2,v2 in pixels", 4)
+            tips = np.reshape(pixels, (2, 2))
         label = None if self.label is None else parse_label("--label", self.label)
         pick = None if self.pick is None else parse_pixel("pick", self.pick)
         name = self.named.stem if self.frame is None else self.frame

@@ -401,7 +401,7 @@ class PromptOptions:
 
         box = None
         if self.box is not None:
-            left, top, right, bottom = _numbers("box", self.box, "x0,y0,x1,y1 in pixels", 4)
+            left, top, right, bottom = parse_numbers("box", self.box, "x0,y0,x1,y1 in pixels", 4)
             box = (left, top, right, bottom)
         on, off = (
             tuple(parse_pixel(name, text) for text in given)
@@ -504,13 +504,13 @@ def split_packages(texts: Iterable[str]) -> dict[str, Path]:
 
 def parse_pixel(option: str, text: str) -> tuple[float, float]:
     """Parse a pixel ``u,v``; InputError, which names the option, if it is not one."""
-    u, v = _numbers(option, text, "a pixel u,v", 2)
+    u, v = parse_numbers(option, text, "a pixel u,v", 2)
     return u, v
 
 
-def _numbers(option: str, text: str, expected: str, count: int) -> list[float]:
-    """Parse numbers with commas between them; InputError, which names the option, for others or another count."""
-    numbers = [float(part) for part in text.split(",") if is_number(part)]
+def parse_numbers(option: str, text: str, expected: str, count: int) -> list[float]:
+    """Parse finite numbers with commas between them; InputError, which names the option, for others or not so many."""
+    numbers = [float(part) for part in text.split(",") if is_number(part) and math.isfinite(float(part))]
     if len(numbers) != count or text.count(",") != count - 1:
         raise InputError(f"--{option}: expected {expected}, got {text!r}")
     return numbers

@@ -43,16 +43,10 @@ class _Transform(Struct):
     rotation: _Quaternion
 
 
-class _PoseStamped(Struct):
-    pose: _Pose
-
-
-class _TransformStamped(Struct):
-    transform: _Transform
-
-
-class _Matrix(Struct):
-    measured_cp: Transform
+class _Measured(Struct):
+    pose: _Pose | None = None
+    transform: _Transform | None = None
+    measured_cp: Transform | None = None
 
 
 def read_cartesian_pose(path: Path) -> Float64:
@@ -65,14 +59,13 @@ def read_cartesian_pose(path: Path) -> Float64:
     """
     where = str(path)
     document = _with_numbers(read_yaml_mapping(path, expected=_EXPECTED))
-    if "pose" in document:
-        pose = convert_document(where, document, _PoseStamped).pose
-        return _pose(where, "pose.orientation", pose.position, pose.orientation)
-    if "transform" in document:
-        stated = convert_document(where, document, _TransformStamped).transform
-        return _pose(where, "transform.rotation", stated.translation, stated.rotation)
-    if "measured_cp" in document:
-        return convert_document(where, document, _Matrix).measured_cp
+    stated = convert_document(where, document, _Measured)
+    if stated.pose is not None:
+        return _pose(where, "pose.orientation", stated.pose.position, stated.pose.orientation)
+    if stated.transform is not None:
+        return _pose(where, "transform.rotation", stated.transform.translation, stated.transform.rotation)
+    if stated.measured_cp is not None:
+        return stated.measured_cp
     raise InputError(f"{path}: expected {_EXPECTED}, got fields {listed(document, 8)}")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.csv_file import number_in, read_csv_rows, rows_by_frame
 from dvrk_cmaes.io.encode import encoded_fields
-from dvrk_cmaes.io.short_text import is_number, listed, shown
+from dvrk_cmaes.io.short_text import listed
 
 _FRAME = "frame"
 _BOX = ("x0", "y0", "x1", "y1")
@@ -67,20 +66,6 @@ def _numbers(where: str, names: tuple[str, ...], cells: dict[str, str]) -> tuple
 
 
 _COLUMNS = ("frame", "tip_1_u", "tip_1_v", "tip_2_u", "tip_2_v")
-
-
-def parse_keypoints(text: str) -> Float64:
-    """Parse the pixels of the two tips, in either order, to (2, 2): a row (u, v) each.
-
-    Raises
-    ------
-    InputError
-        Not four finite numbers.
-    """
-    numbers = [float(part) if is_number(part) else math.nan for part in text.split(",")]
-    if len(numbers) != 4 or not np.isfinite(numbers).all():
-        raise InputError(f"keypoints: expected four numbers u1,v1,u2,v2 in pixels, got {shown(text)}")
-    return np.array(numbers).reshape(2, 2)
 
 
 def read_keypoints(path: str | Path) -> dict[str, Float64]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -108,7 +108,7 @@ def seen_views(
     if isinstance(camera, Camera) and any(isinstance(each, Mapping) for each in (mask, ignore, keypoints)):
         raise InputError("mask: expected a rig of cameras with masks by view, got one camera")
     given = {"mask": mask, "ignore": ignore, "keypoints": keypoints}
-    masks, ignored, tips = (_by_view(name, value, rig) for name, value in given.items())
+    masks, ignored, tips = (by_view(name, value, rig) for name, value in given.items())
     if not masks:
         kind = "an array (H, W) of bool" if isinstance(camera, Camera) else f"one of a view ({', '.join(rig.names)})"
         raise InputError(f"mask: expected {kind}, got none (of a file that cv2.imread did not find?)")
@@ -134,20 +134,18 @@ def left_out_views(views: Sequence[SeenView]) -> tuple[str, ...]:
     return (*without, *(f"view {view.name}: its mask is empty" for view in views if view.given and not view.shows))
 
 
-def _by_view(name: str, value: object, rig: Rig) -> Mapping[str, object]:
-    """Return the values of an argument by view, without None; a rig of one view takes a value that is not by view."""
-    if value is None:
-        return {}
+def by_view(name: str, value: Any, rig: Rig) -> Mapping[str, Any]:
+    """Return the values of an argument by view, without None: given by name, in the rig's order, or that of one view.
+
+    InputError for a name that is no view's, or for another number of values.
+    """
     if not isinstance(value, Mapping):
-        if len(rig.views) == 1:
-            return {rig.names[0]: value}
-        raise InputError(f"{name}: expected one by view ({', '.join(rig.names)}), got one array")
-    check_views(name, value, rig)
-    return {key: each for key, each in value.items() if each is not None}
-
-
-def check_views(name: str, value: Mapping[str, object], rig: Rig) -> None:
-    """Raise an InputError for an argument by view that has one which the rig has not."""
+        listed = isinstance(value, list | tuple) and all(isinstance(each, np.ndarray | None) for each in value)
+        values = [*value] if listed and (len(rig.views) > 1 or len(value) == 1) else [value]
+        if value is not None and len(values) != len(rig.views):
+            raise InputError(f"{name}: expected one by view ({', '.join(rig.names)}), got {len(values)}")
+        value = dict(zip(rig.names, values, strict=False))
     for key in value:
         if key not in rig.names:
             raise InputError(f"{name}: expected views {', '.join(nearest_first(str(key), rig.names))}, got {key!r}")
+    return {key: each for key, each in value.items() if each is not None}

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from dvrk_cmaes.camera import Rig
-from dvrk_cmaes.errors import InputError, one_line
+from dvrk_cmaes.errors import InputError, internal_error
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.live.connection import Report
 from dvrk_cmaes.live.inputs import Decoded, LiveFrame
@@ -126,12 +124,7 @@ class LiveArm:
             self._report(str(error))
             self.set_state(LEFT_OUT, str(error))
             return
-        if isinstance(error, MemoryError):
-            reason = "out of memory"
-        else:
-            place = traceback.extract_tb(error.__traceback__)[-1]
-            where = f"{type(error).__name__} at {Path(place.filename).name}:{place.lineno}"
-            reason = f"internal error: {where}: {one_line(error)}"
+        reason = "out of memory" if isinstance(error, MemoryError) else internal_error(error)
         self._failures += 1
         self._report(f"{reason}; the image is left out; after {MOST_FAILURES} in a row following begins anew")
         self.set_state(LEFT_OUT, reason)

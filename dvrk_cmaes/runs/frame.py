@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -12,7 +11,7 @@ from pathlib import Path
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.overlay import draw_failed
 from dvrk_cmaes.draw.view_overlays import draw_views
-from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.errors import DvrkCmaesError, internal_error
 from dvrk_cmaes.estimation import estimate_views
 from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame, readable
@@ -136,8 +135,7 @@ def estimated(arm: ArmInSession, files: FrameFiles) -> FrameOutcome:
     except MemoryError:
         reason = "out of memory: try fewer workers, or a smaller image"
     except Exception as error:  # an error in one frame must not end the batch
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        reason = f"internal error, {type(error).__name__} at {Path(place.filename).name}:{place.lineno}: {error}"
+        reason = internal_error(error)
     return failed_outcome(arm, files, reason)
 
 

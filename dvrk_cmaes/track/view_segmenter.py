@@ -15,7 +15,7 @@ from dvrk_cmaes.camera import Camera, Rig, View
 from dvrk_cmaes.config import TrackConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.field_of_view import outside_view
-from dvrk_cmaes.frames.seen_view import SeenView, check_views
+from dvrk_cmaes.frames.seen_view import SeenView, by_view
 from dvrk_cmaes.geometry import Bool, Image, Posed
 from dvrk_cmaes.io.arguments import check_type
 from dvrk_cmaes.pose.doubts import image_black, image_frozen, mask_says_nothing
@@ -114,12 +114,14 @@ class ViewSegmenter:
 
     def look(self, mask: Masks | None, image: Images | None, ignore: Masks | None) -> Seen:
         """Check the arrays of all views, and choose those that are used; InputError for wrong sizes, names, numbers."""
-        arguments = (("mask", mask), ("image", image), ("ignore", ignore))
-        arrays = zip(self._rig.views, *(self._by_view(name, value) for name, value in arguments), strict=True)
-        return Seen(tuple(self._looked(*of_view) for of_view in arrays))
+        given = {"mask": mask, "image": image, "ignore": ignore}
+        arrays = [by_view(name, value, self._rig) for name, value in given.items()]
+        return Seen(tuple(self._looked(view, *(each.get(view.name) for each in arrays)) for view in self._rig.views))
 
     def _looked(self, view: View, mask: Bool | None, image: Image | None, ignore: Bool | None) -> SeenImage:
         """Check the arrays of one view, and choose those that are used."""
+        if image is not None:
+            check_type("image", image, np.ndarray, "an array (H, W, 3)")
         seen = SeenImage.of(view, mask, ignore=ignore, image=None if image is not None and image.ndim == 2 else image)
         for name, array in (("mask", seen.mask), ("ignore", seen.ignore), ("image", image)):
             if array is not None:
@@ -135,20 +137,6 @@ class ViewSegmenter:
             problem = mask_says_nothing(given=seen.given, shown=shown, surrounded=surrounded)
         before, self._last[view.name] = self._last.get(view.name), now
         return replace(seen, problem=problem, same=now is not None and now == before)
-
-    def _by_view(self, name: str, value: Masks | Images | None) -> list[Any]:
-        """Return an argument's arrays in the order of the views."""
-        names = self._rig.names
-        if isinstance(value, Mapping):
-            check_views(name, value, self._rig)
-            return [value.get(view) for view in names]
-        if value is None:
-            return [None] * len(names)
-        check_type(name, value, (np.ndarray, list, tuple), "an array (H, W), or those of the views")
-        arrays = [value] if isinstance(value, np.ndarray) else list(value)
-        if len(arrays) != len(names):
-            raise InputError(f"{name}: expected one by view ({', '.join(names)}), got {len(arrays)}")
-        return arrays
 
     def is_ready(self, seen: Seen) -> bool:
         """Whether the images have masks, or show nothing, or masks can be found in them by colours that are known."""

@@ -80,6 +80,8 @@ def test_reading_outside_limits_gives_warning(run: Run, quick: Path) -> None:
         (frame(pick="3"), ["--pick", "u,v", "'3'"]),
         (frame(pick="-1,3"), ["0000.png", "pick", "640 x 480", "-1,3"]),
         (frame(keypoints="-1,2,x,3"), ["keypoints: expected four numbers", "'-1,2,x,3'"]),
+        (frame(keypoints="1,2,nan,3"), ["--keypoints: expected four numbers", "'1,2,nan,3'"]),
+        (frame(pick="nan,3"), ["--pick", "u,v", "'nan,3'"]),
         (frame(package_path="model=nowhere"), ["--package-path", "model", "nowhere"]),
         (frame(shaft_radius=-0.004), ["--shaft-radius: no option here", "radius of the URDF's mesh"]),
         (["demo", "--threads", "0"], ["--threads", "at least 1"]),
