@@ -108,7 +108,7 @@ def test_command_follows_what_a_server_sends(command: str, monkeypatch: pytest.M
 def test_recording_that_is_played_is_followed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write_recording(tmp_path / "session", SessionPlan(prepare("lnd"), SMALL, LEVELS["clean"], "video", 60, 4, {}))
+    write_recording(tmp_path / "session", SessionPlan(prepare("lnd"), SMALL, LEVELS["clean"], "video", 90, 4, {}))
     robot = Player(tmp_path / "session")
     server = RosbridgeServer()
     monkeypatch.setattr("examples.play_session.RosbridgeServer", lambda port: server)
@@ -125,7 +125,7 @@ def test_recording_that_is_played_is_followed(
     playing.join(60)
     followed = int(re.findall(r"(\d+) images followed", ran.out)[0])
     poses = [fields["pose"]["pose"] for _, fields in server.received["/dvrk_cmaes/PSM1/camera_from_root"]]
-    assert 0 < len(poses) <= followed <= 60
+    assert 0 < len(poses) <= followed <= 90
     truths = [truth.camera_from_root[:3, 3] for truth in robot.session.truth.frames.values()]
     found = np.array([poses[-1]["position"][axis] for axis in "xyz"])
     assert min(np.linalg.norm(found - truth) for truth in truths) < 0.005  # m
