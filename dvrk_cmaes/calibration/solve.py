@@ -206,11 +206,12 @@ class Solved:
         for name, std in changed.items():
             place = calibration.place(name)
             more[place] = std**-2.0 - np.diag(calibration.information)[place]
-        information = self.whole.information.copy()
-        information[self._place] += np.diag(more)
-        inverse = inverse_information(information)
+        wider = np.zeros_like(self.whole.information)
+        wider[self._place] = np.diag(more)  # of the priors, whose errors are as independent as those of frames
+        whole = replace(self.whole, independent=self.whole.independent + wider)
+        inverse = inverse_information(self.whole.information + wider)
         step = -inverse[self._place] @ (more * calibration.deviation)
-        return calibration.changed(step), self.whole.covariance_of(inverse)[self._place]
+        return calibration.changed(step), whole.covariance_of(inverse)[self._place]
 
 
 def inverse_information(information: Float64) -> Float64:

@@ -41,9 +41,9 @@ def test_whole_instrument_that_is_larger_is_found_and_is_a_doubt(bundled_body: B
         pose = frame.result.camera_from_root.copy()
         pose[:3, 3] /= 1.05
         result = replace(frame.result, camera_from_root=pose)
-        data = FrameData.of(mask, SMALL)
-        seen.append(replace(frame, data=data, result=result))
+        seen.append(replace(frame, data=FrameData.of(mask, SMALL), result=result))
     found = calibrate_session(seen, bundled_body).calibration
+    assert found.blocks["lens"].std[0] < 0.95 * found.blocks["lens"].prior_std[0]  # frames determine the aspect
     (whole,), (std,) = found.blocks["size"].values, found.blocks["size"].std
     assert abs(np.exp(whole) - 1.05) < 3 * std < 0.05
     percent = round(100 * np.expm1(whole))
