@@ -33,7 +33,7 @@ def main() -> int:
     try:
         from dvrk_cmaes.cli import main as run_command_line
 
-        _handle(ours, signal.default_int_handler)
+        _handle(ours, _interrupt)
         return run_command_line()
     except KeyboardInterrupt:  # before or after the command line's own handling of it
         _end(signal.SIGINT, None)
@@ -60,6 +60,16 @@ def _prepare_libraries() -> None:
 def _handle(numbers: Iterable[int], handler: Callable[[int, FrameType | None], None]) -> None:
     for number in numbers:
         signal.signal(number, handler)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """Raise KeyboardInterrupt, or end the process while a library is imported, such as trimesh, which catches it."""
+    at = frame
+    while at is not None:
+        if at.f_code.co_filename.startswith("<frozen importlib"):
+            _end(number, frame)
+        at = at.f_back
+    raise KeyboardInterrupt
 
 
 def _end(number: int, frame: FrameType | None) -> None:
