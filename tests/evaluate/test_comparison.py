@@ -46,7 +46,6 @@ def test_differences_are_those_made(bundled_body: Body, before: Path, tmp_path: 
     assert [found.differences[1][name].tip_mm for name in "ab"] == pytest.approx([1, 3], abs=1e-4)
     assert found.differences[1]["c"].joints_deg["jaw"] == pytest.approx(np.degrees(0.1), abs=1e-5)
     spread = found.spreads(1)["root_mm"]
-    assert spread is not None
     assert (spread.median, spread.largest) == (pytest.approx(1, abs=1e-4), pytest.approx(3, abs=1e-4))
     assert spread.frame == "b"
     assert found.by_size[0] == "b"
