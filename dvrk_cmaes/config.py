@@ -72,7 +72,7 @@ class SearchConfig:
     width_px
         Approximate width of the images in which losses are computed; up to twice that where the mask is small.
     detail_m
-        Cell size of the mesh decimation for these images.
+        Cell size of the mesh decimation for small images of the refinement; it is twice this for those of the search.
     use_edges
         Whether candidates are drawn from the shaft's edges in the mask, where these are found.
     free_share
@@ -83,8 +83,8 @@ class SearchConfig:
 
     method: str = "cmaes"
     samples: int = 768
-    starts: int = 48
-    evaluations: int = 960
+    starts: int = 40
+    evaluations: int = 720
     width_px: int = field(default=80, metadata=_WIDTH)
     detail_m: float = field(default=6e-4, metadata=Limits(least=1e-6).metadata)
     use_edges: bool = True

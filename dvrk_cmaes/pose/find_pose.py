@@ -26,9 +26,10 @@ from dvrk_cmaes.pose.search.starts import PoseCandidate, is_twin
 from dvrk_cmaes.pose.views import FrameView, clearest_view, measure_views, pooled_quality
 from dvrk_cmaes.results.result import Alternative, ExpectedError, Quality, ViewCheck
 from dvrk_cmaes.silhouette import Body, Renderer
-from dvrk_cmaes.silhouette.prepare import body_by
+from dvrk_cmaes.silhouette.prepare import body_by, decimated_body
 
 _AGAIN = 1_000_003  # added to the seed for the second search
+_COARSER = 2.0  # cells of the meshes in the search's images, in cells of those in the next larger ones
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +128,7 @@ def _searched(
 ) -> tuple[list[PoseCandidate], Renderer]:
     """Search the clearest view; returns candidates in the reference camera, and the renderer used."""
     view = clearest_view(views)
-    body = body_by(decimated, config.silhouette.method)
+    body = body_by(decimated_body(decimated, _COARSER * config.search.detail_m), config.silhouette.method)
     coarse = Renderer(body, view.evidence.camera, threads=config.threads)
     found, drawing = find_candidates(coarse, view.evidence, readings, config)
     camera_from_view = inverse(view.view_from_camera)

@@ -23,14 +23,16 @@ from dvrk_cmaes.geometry import Float64, Indices, Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search.objective import Objective
-from dvrk_cmaes.pose.search.starts import PoseCandidate, draw_starts, first_of_modes, twin_of
+from dvrk_cmaes.pose.search.starts import PoseCandidate, best_per_mode, draw_starts, first_of_modes, twin_of
 from dvrk_cmaes.silhouette import Renderer
 from dvrk_cmaes.silhouette.moving_points import moving_points
+from dvrk_cmaes.silhouette.prepare import body_by
 
 _POSE_SCALE = np.array([1e-3, 1e-3, 3e-3, np.deg2rad(4), np.deg2rad(4), np.deg2rad(15)])
 """Expected errors of a start: along the root's x, y and z axes, m, and about them, rad."""
 _LEAST_AREA = 150.0  # px of a mask in the search's image
-_SPREAD_PX, _SPREAD = 1.0, 3.0  # of the first population: px of the search's image, and expected errors at most
+_SPREAD_PX, _SPREAD = 1.5, 3.0  # of the first population: px of the search's image, and expected errors at most
+_MODES, _LEGIBLE = 12, 200.0  # best modes that the search returns; px of a mask there, below which it returns all
 _DISTINCT = float(np.deg2rad(20)), float(np.deg2rad(17))  # rotation, or a joint, by which starts differ
 _JOINT_SCALE = 0.5  # expected error of a start's joints, in standard deviations of the readings
 
@@ -58,7 +60,7 @@ def find_candidates(
 ) -> tuple[list[PoseCandidate], Renderer]:
     """Search one frame for candidate poses.
 
-    Returns what the optimiser found from each start, the best first, and the renderer used. The starts are the best
+    Returns the best modes that the optimiser found, the best first, and the renderer used. The starts are the best
     distinct candidates drawn; a quarter of them are the best of those drawn without readings, by the loss without the
     readings' term, so that the outline can contradict wrong readings. Of a pose and its mirror twin, which have nearly
     the same silhouette, only the one nearer to the readings is searched.
@@ -83,8 +85,10 @@ def find_candidates(
 
     spreads = _spreads(sized, begin, scale)
     best, least = minimise_each(search.method, loss, losses[starts], spreads, search.evaluations, config.seed)
-    found = begin.moved(best * scale)
-    return [PoseCandidate(found[k], float(least[k])) for k in np.argsort(least, kind="stable")], sized
+    at = begin.moved(best * scale)
+    found = [PoseCandidate(at[k], value) for k, value in enumerate(least.tolist())]
+    shown = float(evidence.at_size(sized.camera.width, sized.camera.height)[0].sum())
+    return best_per_mode(found, most=_MODES if shown > _LEGIBLE else None, mirrored=instrument), sized
 
 
 def _spreads(renderer: Renderer, at: Posed, scale: Float64) -> Float64:
@@ -93,7 +97,8 @@ def _spreads(renderer: Renderer, at: Posed, scale: Float64) -> Float64:
     They move the outline in the search's image by about ``_SPREAD_PX`` in all directions. Where the outline hardly
     moves, they are limited to ``_SPREAD`` times the expected errors.
     """
-    outlines = renderer.outlines(at.pose, at.joints)
+    counting = Renderer(body_by(renderer.body, "count"), renderer.camera, threads=renderer.threads)
+    outlines = counting.outlines(at.pose, at.joints)
     informations = []
     each_moving = moving_points(renderer.body.instrument, renderer.camera, outlines, at)
     for outline, moving in zip(outlines, each_moving, strict=True):
@@ -139,9 +144,9 @@ BOX = 3.0
 """Half the side of the box of NLopt's methods, in units of the expected error of a start."""
 _STEP = 0.5  # first step of NLopt's methods, in the same units
 _LARGE = 1e12  # loss in place of one that is not finite
-_POPULATION = 10  # candidates of CMA-ES in a generation of a start
-_CONTINUING = 0.85  # share of the starts, the best ones, that have another generation
-_LEAST = 4  # starts that have another generation
+_POPULATION = 8  # candidates of CMA-ES in a generation of a start
+_CONTINUING = 0.5  # share of the starts, the best ones, that have another generation
+_LEAST = 12  # starts that have another generation
 _RUN = 20  # evaluations for each parameter of a run by NLopt, of which there are as many as the budget allows
 
 _importing = threading.Lock()
