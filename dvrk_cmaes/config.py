@@ -127,7 +127,8 @@ class LossWeights:
 
     They were chosen by hand, and are not decisive: of 72 frames without readings the search found the mode of 60 with
     all terms, and 57 to 62 without any one of them, which the frames' number does not distinguish from 60
-    (data/experiments/ablation.md). All poses that it found are refined, and the refinement does not use these terms.
+    (data/experiments/ablation.md, when all modes were refined). Now the best twelve by this loss are. The refinement
+    does not use these terms.
 
     Attributes
     ----------

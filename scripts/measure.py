@@ -7,7 +7,7 @@
                                                      also draw, score
     python scripts/measure.py tips [SESSION]         tips of closed jaws on a board against the known ones; --images
     python scripts/measure.py pictures FRAMES        masks and poses found in images, of ../shared/frames
-    python scripts/measure.py ablation SESSION...    frames solved by variants of the search
+    python scripts/measure.py ablation               drawn frames solved by variants of the search
     python scripts/measure.py speed                  whole commands, with --against DIR those of another checkout, too
     python scripts/measure.py live                   poses a second over a websocket, and their age from image to pose
     python scripts/measure.py write                  writes the marked tables of pages; --check only compares them
@@ -90,11 +90,12 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--groups", nargs="+", default=[*GROUPS], choices=[*GROUPS], help="default: all")
     one.add_argument("--most", type=int, metavar="N", help="number of a group's, at most (default: all)")
     one.add_argument("--poses", action="store_true", help="masks and poses as by estimate")
-    one = command("ablation", ablation_report, "Solve frames of sessions with truth by variants of the search.")
-    one.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="session folders with golden.json")
-    one.add_argument("--frames", type=int, default=10, metavar="N", help="of each, the first (default: %(default)s)")
-    one.add_argument("--readings", action="store_true", help="with the readings (default: without any)")
-    one.add_argument("--keep", type=Path, metavar="DIR", help="folder for results, which are reused")
+    one = command("ablation", ablation_report, "Solve drawn frames with truth by variants of the search.")
+    one.add_argument("--seeds", type=int, nargs="+", default=[1, 2], metavar="N", help="of sets (default: 1 2)")
+    one.add_argument("--frames", type=int, default=9, metavar="N", help="of a session (default: %(default)s)")
+    one.add_argument("--variants", nargs="+", metavar="NAME", help="by their names in the table (default: all)")
+    one.add_argument("--workers", type=int, default=2, metavar="N", help="sessions at once (default: %(default)s)")
+    one.add_argument("--keep", type=Path, required=True, metavar="DIR", help="folder for results, which are reused")
     one = command(
         "tips", tips_report, "Solve a session with known tips by calibrate, with its masks or by images alone."
     )

@@ -1,4 +1,4 @@
-"""Ablation: frames of sessions with truth, each solved by variants of the search, with or without readings.
+"""Ablation: drawn frames with known truth, each solved by variants of the search, with and without readings.
 
 A pose is found if it is within 12 degrees of the truth and 20 degrees in each joint, or of the truth's mirror twin,
 which an outline without readings hardly distinguishes from it.
@@ -8,36 +8,38 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
+from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from scipy.stats import binomtest
 
+from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.estimation import estimate
-from dvrk_cmaes.evaluate.pose_error import compare_poses
-from dvrk_cmaes.frames.frame import read_frame
-from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.geometry import rotation_angle
+from dvrk_cmaes.evaluate.pose_error import PoseError, compare_poses
 from dvrk_cmaes.io.json_file import write_json
 from dvrk_cmaes.pose.search import METHODS
 from dvrk_cmaes.silhouette.prepare import prepare
-from measuring.report import Report
+from dvrk_cmaes.synth.levels import LEVELS, LevelName
+from dvrk_cmaes.synth.session import SessionPlan, make_frames, make_truths
+from measuring.report import Report, in_processes
 
 FOUND_DEG: Final = 12.0, 20.0
 """Largest rotation from the truth or its mirror twin, and largest difference of a joint, of a pose that is found."""
-UNCHANGED: Final = "as it is"
+LEVEL_NAMES: Final[tuple[LevelName, ...]] = ("easy", "medium", "hard")
+DRAWN: Final = (*product(LEVEL_NAMES, ((320, 240), (640, 480), (1280, 1024)), ("lnd", "maryland")),)
+"""Level, size of the image, px, and instrument of the sessions of a set."""
 
 
 def variants(config: EstimateConfig) -> Iterator[tuple[str, EstimateConfig]]:
     """Yield names of variants with their settings; the first is the configuration itself."""
     search = config.search
-    yield UNCHANGED, config
+    yield "as it is", config
     yield "optimiser off", replace(config, search=replace(search, evaluations=1))
     for field in fields(config.weights):
         if field.name not in ("line_offset", "found_tips"):  # of found tips, no keypoints is the same
@@ -51,64 +53,62 @@ def variants(config: EstimateConfig) -> Iterator[tuple[str, EstimateConfig]]:
     yield "refinement: differences", replace(config, refine=replace(config.refine, derivatives="differences"))
 
 
-def solved(config: EstimateConfig, folders: Sequence[Path], most: int, *, readings: bool) -> list[dict[str, Any]]:
-    """Solve the first frames of each folder, and compare them with the truth."""
-    body = prepare("lnd")
-    names, rows = body.instrument.joint_names, []
-    for folder in folders:
-        session = read_session(folder)
-        golden = json.loads((folder / "golden.json").read_text(encoding="utf-8"))["frames"]
-        for files in session.frames[:most]:
-            data, truth = read_frame(files, session.camera), golden[files.name]
-            true = np.array(truth["T_camera_roll_link"]), np.array([truth["joints"][name] for name in names])
+def solved(number: int, seed: int, frames: int, names: Sequence[str], kept: Path) -> list[dict[str, Any]]:
+    """Draw a session, and solve its frames by some variants in turns; rows that were kept in a file are reused."""
+    if kept.exists():
+        return list(json.loads(kept.read_text(encoding="utf-8")))
+    level, (width, height), instrument = DRAWN[number]
+    body, focal, rows = prepare(instrument), 1.6 * width, list[dict[str, Any]]()
+    camera = Camera(width, height, focal, focal, 0.503 * width, 0.496 * height, distortion=LEVELS[level].distortion)
+    plan = SessionPlan(body, camera, LEVELS[level], "free", frames, 100 * seed + number, {})
+    chosen = [(name, config) for name, config in variants(EstimateConfig(threads=1)) if name in names]
+    for frame in make_frames(plan, make_truths(plan)[1]):
+        true = frame.truth.camera_from_root, frame.truth.joints
+        pose, joints = body.instrument.twin(true[0], np.array([true[1][name] for name in body.instrument.joint_names]))
+        twin = pose, dict(zip(body.instrument.joint_names, joints.tolist(), strict=True))
+        for (name, config), given in product(chosen, (frame.readings, {})):
             began = time.process_time()
-            result = estimate(data.mask, data.camera, files.readings if readings else {}, body, config=config)
-            row: dict[str, Any] = {"seconds": time.process_time() - began}
-            if result.camera_from_root is not None:
-                joints = np.array([result.joints[name] for name in names])
-                row["right"], row["twin"] = (
-                    bool(
-                        np.degrees(rotation_angle(pose, result.camera_from_root)) < FOUND_DEG[0]
-                        and np.degrees(np.abs(values - joints)).max() < FOUND_DEG[1]
-                    )
-                    for pose, values in (true, body.instrument.twin(*true))
-                )
-                truly = true[0], dict(zip(names, true[1].tolist(), strict=True))
-                row["tip_mm"] = compare_poses(body.instrument, (result.camera_from_root, result.joints), truly).tip_mm
-            rows.append(row)
+            result = estimate(frame.mask, camera, given, body, ignore=frame.ignore, config=config)
+            row = {"variant": name, "readings": bool(given), "seconds": time.process_time() - began}
+            assert result.camera_from_root is not None
+            found = result.camera_from_root, result.joints
+            right, other = (compare_poses(body.instrument, found, truth) for truth in (true, twin))
+            rows.append(row | {"right": _is_found(right), "twin": _is_found(other), "tip_mm": right.tip_mm})
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    write_json(kept, rows)
     return rows
 
 
-def _figures(name: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Return the row of a variant: found modes with their interval, right ones, twins, tips, seconds."""
-    right, twins = (sum(row.get(which, False) for row in rows) for which in ("right", "twin"))
-    low, high = binomtest(right + twins, len(rows)).proportion_ci(method="wilson")
-    tips = [row["tip_mm"] for row in rows if row.get("right")]
+def _is_found(error: PoseError) -> bool:
+    return error.rotation_deg < FOUND_DEG[0] and error.joint_deg is not None and error.joint_deg < FOUND_DEG[1]
+
+
+def _figures(name: str, rows: Sequence[dict[str, Any]], usual: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return the row of a variant: found modes, which of them only the ``usual`` search finds or it does not, tips."""
+    found, of_usual = (np.array([row["right"] or row["twin"] for row in each]) for each in (rows, usual))
+    low, high = binomtest(int(found.sum()), len(rows)).proportion_ci(method="wilson")
+    tips = [row["tip_mm"] for row in rows if row["right"]]
     return {
         "variant": name,
         "frames": len(rows),
-        "found": right + twins,
-        "95 % interval": [low, high],
-        "right": right,
-        "mirror twin": twins,
-        "tips of the right, mm, median": float(np.median(tips)) if tips else None,
-        "95 %": float(np.percentile(tips, 95)) if tips else None,
+        "found": int(found.sum()),
+        "95 % interval": [float(low), float(high)],
+        "lost, gained": [int((of_usual & ~found).sum()), int((found & ~of_usual).sum())],
+        "right": sum(row["right"] for row in rows),
+        "mirror twin": sum(row["twin"] for row in rows),
+        "tips of the right, mm, median, 95 %": np.percentile(tips, [50, 95]).tolist() if tips else None,
         "s a frame": float(np.mean([row["seconds"] for row in rows])),
     }
 
 
 def ablation_report(options: argparse.Namespace) -> Report:
-    """Solve the frames by all variants, and return the table."""
-    found = []
-    for name, config in variants(EstimateConfig(threads=1)):
-        kept = options.keep / f"{name.replace(': ', '_').replace(' ', '_')}.json" if options.keep else None
-        if kept is not None and kept.exists():
-            rows = json.loads(kept.read_text(encoding="utf-8"))
-        else:
-            rows = solved(config, options.folders, options.frames, readings=options.readings)
-            if kept is not None:
-                kept.parent.mkdir(parents=True, exist_ok=True)
-                write_json(kept, rows)
-        print(name, file=sys.stderr, flush=True)
-        found.append(_figures(name, rows))
-    return {"ablation": found}
+    """Solve all sets of sessions by the variants, and return a table with and one without readings."""
+    names = [name for name, _ in variants(EstimateConfig()) if name in (options.variants or [name])]
+    sessions = product(options.seeds, range(len(DRAWN)))
+    tasks = [(k, seed, options.frames, names, options.keep / f"{seed}-{k}.json") for seed, k in sessions]
+    rows = [row for of_one in in_processes(solved, tasks, options.workers, "sessions") for row in of_one]
+    report: dict[str, list[dict[str, Any]]] = {}
+    for title, given in (("with readings", True), ("without readings", False)):
+        of_names = [[row for row in rows if (row["variant"], row["readings"]) == (name, given)] for name in names]
+        report[title] = [_figures(name, each, of_names[0]) for name, each in zip(names, of_names, strict=True)]
+    return report
