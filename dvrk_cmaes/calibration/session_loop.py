@@ -320,8 +320,9 @@ def checked(arms: Arms) -> Arms:
 def _checks(arms: Arms) -> list[BlockCheck]:
     """Return what the frames of arms that are solved show of camera, margin and the blocks that are tested.
 
-    The camera is estimated with a wide prior, all others with its file as a measurement of it. Where the former is not
-    plausible, only what the frames show at the camera of the file is left, which may contradict it or say nothing.
+    Sizes and margin are estimated with the camera's file as a measurement of it, all others with a wide prior. Where
+    that estimate is not plausible, only what the frames show at the camera of the file is left, which may contradict it
+    or say nothing.
     """
     session, refined = arms[0].setup.config.session, arms[0].change is not None
     reasons = [camera_undetermined(arm.model, _LEAST_TESTED, "test") for arm in arms]
@@ -350,7 +351,7 @@ def _check(
     config, blocks = arm.setup.config, dict[str, FoundBlock]()
     errors, covariance = file_covariance(camera, config.camera), np.zeros((arm.calibration.own,) * 2)
     for block in there.blocks:
-        alone, spread = (there if block.name == CAMERA else near).shown_of(block)
+        alone, spread = (there if block.is_alike else near).shown_of(block)
         found, left = block.stated(alone, config.session.shared_errors**2 * spread if block.is_alike else spread)
         if block.name == MARGIN and arm.margin is not None:
             found, left = arm.margin, square_left(arm.margin)
