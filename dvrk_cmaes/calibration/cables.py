@@ -6,6 +6,9 @@ likelihood of all observations with the priors of `joints.cable_prior`. A larger
 likely than one offset by a margin; otherwise nothing is corrected. Each frame is corrected by what all other frames
 show of it.
 
+Frames are fitted with the corrections of the round before as a prior, and favour the model that these have. So the
+margin only holds in the last round; before, frames are fitted with the most likely model.
+
 The parameters are not unknowns of the session's linearised problem, as its other constants are: the choice between the
 models needs the likelihood of each, which the filters give with the parameters, and wander differs from frame to frame.
 As such unknowns, those of a chosen model find the same base, and predict frames that are left out hardly better.
@@ -106,6 +109,8 @@ def estimate_cables(
     solution: Solved,
     lag: SessionLag,
     usual: Deviations,
+    *,
+    last: bool,
 ) -> tuple[CableFit, CableFit]:
     """Fit the cables of a session; returns the fits of `fit_cables`.
 
@@ -117,6 +122,8 @@ def estimate_cables(
         Has the frames' times, and the readings between them.
     usual
         Standard deviations of readings from frame to frame without corrections.
+    last
+        Whether it is the last round.
     """
     names, times = ("roll", *model.names), lag.seconds()
     weights = solution.weights if times is None else solution.weights / frames_alike(times, _ALIKE_SECONDS)
@@ -126,7 +133,7 @@ def estimate_cables(
     noise = np.concatenate([usual.outer[_ROLL:], usual.joints])
     std = model.offset_std[1:]
     seen = CableSession(names, readings, times, play, information, vector, offsets, std, noise)
-    return fit_cables(seen, prior)
+    return fit_cables(seen, prior, MARGIN if last else 0.0)
 
 
 def observe_errors(

@@ -196,7 +196,7 @@ def solved(arms: Arms) -> Arms:
         scale = setup.config.session.loosened ** max(1 - (number - 1) / 2, 0.0)
         last = number == _ROUNDS
         arms = [_fitted(arm, scale, last=last) for arm in arms]
-        arms = _estimated(arms, keep_all=scale != 1.0)
+        arms = _estimated(arms, keep_all=scale != 1.0, last=last)
         if number == _ROUNDS - 1 or (setup.refine_camera and not last):
             arms = _with_seen(arms, last=number == _ROUNDS - 1)
     found, out = solve_arms([ArmFrames(arm.model, arm.outlines(), arm.calibration) for arm in arms]), []
@@ -239,10 +239,11 @@ def _fitted(arm: ArmSession, scale: float, *, last: bool) -> ArmSession:
     return replace(arm, fits=tuple(found[i] for i in range(len(arm.frames))))
 
 
-def _estimated(arms: Arms, *, keep_all: bool) -> Arms:
+def _estimated(arms: Arms, *, keep_all: bool, last: bool) -> Arms:
     """Estimate base, offsets, variances and cables of all arms from the current fits.
 
-    ``keep_all`` is whether fits that do not explain the mask count as well. `InputError` if too few fits count.
+    ``keep_all`` is whether fits that do not explain the mask count as well. Cables must be more likely by a margin in
+    the ``last`` round. `InputError` if too few fits count.
     """
     if not keep_all:
         for arm in arms:
@@ -250,7 +251,7 @@ def _estimated(arms: Arms, *, keep_all: bool) -> Arms:
     fits = [arm.outlines(keep_all=keep_all) for arm in arms]
     arms = [replace(arm, moved=None) for arm in _with_variances(arms, fits)]
     if not keep_all and arms[0].setup.config.session.cables:
-        arms = [_with_cables(arm, own) for arm, own in zip(arms, fits, strict=True)]
+        arms = [_with_cables(arm, own, last=last) for arm, own in zip(arms, fits, strict=True)]
         if any(arm.cables is not None and arm.cables[0].parts for arm in arms):
             arms = _with_variances(arms, fits)
     return arms
@@ -263,10 +264,10 @@ def _with_variances(arms: Arms, fits: Sequence[FrameFits]) -> Arms:
     return [replace(arm, model=model, found=own) for arm, model, own in each]
 
 
-def _with_cables(arm: ArmSession, fits: FrameFits) -> ArmSession:
+def _with_cables(arm: ArmSession, fits: FrameFits, *, last: bool) -> ArmSession:
     """Fit what cables do to the readings, besides the blocks: `cables` says why."""
     usual = Deviations.of(arm.setup.config.session, arm.model.names)
-    cables = estimate_cables(arm.model, fits, arm.solution, arm.lag, usual)
+    cables = estimate_cables(arm.model, fits, arm.solution, arm.lag, usual, last=last)
     usual, own = (cables[0].deviations(one) for one in (usual, arm.model.deviations))
     model = replace(arm.model, correction=cables[0].correction, deviations=own, usual=usual)
     return replace(arm, cables=cables, model=model)
