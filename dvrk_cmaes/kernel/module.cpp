@@ -336,7 +336,7 @@ struct Drawing {
 };
 
 // Most spans are shorter, between edges inside the outline; all of a row's together hardly change a sum.
-constexpr double kNegligible = 1.0 / 4;              // px
+constexpr double kNegligible = 1.0 / 4;               // px
 constexpr double kBend = 0.004, kExactBend = 0.0005;  // px; the latter where whole pixels are asked for
 
 Made<double> sums(const Mesh& mesh, const Camera& camera, const Given<double>& links, const Given<double>& table,
