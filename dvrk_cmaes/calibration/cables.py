@@ -228,9 +228,20 @@ def _fit(session: CableSession, prior: CablePrior, parts: tuple[Part, ...]) -> C
     coupling, play, narrow = np.split(coefficients, [count, 2 * count], axis=1)
     coupling_std, play_std, narrow_std = np.split(deviations, [count, 2 * count], axis=1)
     own = NARROW * np.eye(count)
-    stated = coupling, coupling_std, play + own * narrow, np.hypot(play_std, own * narrow_std), assumed.wander, noise
-    fitted = *stated, session.offsets + found.mean[:count], correction
-    return CableFit(session.names, parts, found.log_likelihood, _reference(session), *fitted)
+    return CableFit(
+        names=session.names,
+        parts=parts,
+        gain=found.log_likelihood,
+        reference=_reference(session),
+        coupling=coupling,
+        coupling_std=coupling_std,
+        play=play + own * narrow,
+        play_std=np.hypot(play_std, own * narrow_std),
+        wander=assumed.wander,
+        noise=noise,
+        offset=session.offsets + found.mean[:count],
+        correction=correction,
+    )
 
 
 def _observations(session: CableSession, active: Bool) -> Observations:

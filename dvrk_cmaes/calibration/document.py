@@ -342,17 +342,17 @@ class SessionCalibration:
         slack = np.array([values[-2]] * 3 + [values[-1]] * 3)
         spreads = Deviations(np.array(values[:4]), np.array(values[4:-2]), slack)
         model = SessionModel(
-            outer,
-            joints,
-            joint_names,
-            spreads,
-            spreads,
-            self.arm,
-            self.roll_offset,
-            self._elsewhere(joints, joint_names, spreads.joints),
-            correction,
-            np.full(len(names), np.inf),
-            endoscope,
+            outer=outer,
+            joints=joints,
+            names=joint_names,
+            usual=spreads,
+            deviations=spreads,
+            arm=self.arm,
+            roll_offset=self.roll_offset,
+            inflation=self._elsewhere(joints, joint_names, spreads.joints),
+            correction=correction,
+            offset_std=np.full(len(names), np.inf),
+            endoscope=endoscope,
         )
         return model, model.calibration(self.camera_from_base, offsets)
 

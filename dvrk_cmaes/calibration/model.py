@@ -129,8 +129,19 @@ class SessionModel:
         names = instrument.joint_names
         joints, deviations = _columns(readings, names), Deviations.of(config.session, names)
         none, std = Correction.none(*joints.shape), offset_deviations(config, names)
-        read = outer_readings(readings), joints, names, deviations, deviations
-        return cls(*read, arm, instrument.roll_offset, np.ones(none.values.shape), none, std, endoscope)
+        return cls(
+            outer=outer_readings(readings),
+            joints=joints,
+            names=names,
+            usual=deviations,
+            deviations=deviations,
+            arm=arm,
+            roll_offset=instrument.roll_offset,
+            inflation=np.ones(none.values.shape),
+            correction=none,
+            offset_std=std,
+            endoscope=endoscope,
+        )
 
     def calibration(self, camera_from_base: Float64, offsets: Float64) -> Calibration:
         """Return that of a base (4, 4), m, and offsets (2 + J,); an endoscope has the values of its start."""
