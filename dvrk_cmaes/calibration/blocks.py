@@ -80,7 +80,7 @@ class PredictedBlock(Block, ABC):
 
 
 class Base(PredictedBlock):
-    """The arm's base (4, 4) in the camera, known to a metre and a radian beforehand; steps are in the base's axes."""
+    """The arm's base (4, 4) in the camera, with a prior of a metre and a radian; steps are in the base's axes."""
 
     def __init__(self) -> None:
         super().__init__(BASE, np.ones(6))
@@ -147,7 +147,7 @@ class SeenBlock(Block, ABC):
     start : (n,)
         Values from which estimates start; zero by default.
 
-    ``known`` (n,) are the standard deviations of what is known beforehand, those of the prior by default, and ``weak``
+    ``known`` (n,) are the standard deviations of what is known a priori, those of the prior by default, and ``weak``
     (n,) those with which it is asked what the frames show by themselves. ``least_std`` (n,) are standard deviations of
     errors that the scatter of a session's frames does not show; by default none. ``used`` is whether the session is
     solved with the values that are found.
@@ -190,7 +190,7 @@ class SeenBlock(Block, ABC):
         """State what is found of the unknowns, and return the mean square (n, n) of the errors that are left of them.
 
         Values that are not used are left as errors. ``alone`` (n,) and ``covariance`` (n, n) are what the frames show
-        by themselves, without what is known beforehand.
+        by themselves, without the prior.
         """
 
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 
@@ -314,14 +314,20 @@ class SessionCables(Document):
         if fits is None or not fits[0].parts:
             return None
         fit, alone = fits
-        stated = ("reference", "coupling", "coupling_std", "play", "play_std", "wander", "noise")
-        by_reading = alone.offset, alone.coupling, alone.coupling_std, alone.noise
         return cls(
             parts=fit.parts,
             gain=rounded(fit.gain),
             joints=fit.names,
-            alone=CablesAlone(*map(_plain, by_reading)),
-            **{name: _plain(getattr(fit, name)) for name in stated},
+            reference=_row(fit.reference),
+            coupling=_table(fit.coupling),
+            coupling_std=_table(fit.coupling_std),
+            play=_table(fit.play),
+            play_std=_table(fit.play_std),
+            wander=_row(fit.wander),
+            noise=_row(fit.noise),
+            alone=CablesAlone(
+                _row(alone.offset), _table(alone.coupling), _table(alone.coupling_std), _row(alone.noise)
+            ),
         )
 
     def check(self, where: str, joints: Sequence[str]) -> None:
@@ -378,6 +384,9 @@ def _clear(values: Float64, std: Float64, usual: Float64, least: Float64 | float
     return np.argwhere((np.abs(values) > np.maximum(_CERTAIN * std, least)) & (std <= _DETERMINED * usual)).tolist()
 
 
-def _plain(values: Float64) -> Any:
-    """Return an array as nested tuples of rounded numbers."""
-    return tuple(map(_plain, values)) if values.ndim > 1 else tuple(rounded_array(values))
+def _row(values: Float64) -> Row:
+    return tuple(rounded_array(values))
+
+
+def _table(values: Float64) -> Table:
+    return tuple(_row(row) for row in values)

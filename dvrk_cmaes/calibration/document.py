@@ -14,7 +14,7 @@ from dvrk_cmaes.calibration.blocks import BASE_AXES, OUTER_OFFSETS, Calibration,
 from dvrk_cmaes.calibration.cables import SessionCables
 from dvrk_cmaes.calibration.endoscope import Endoscope
 from dvrk_cmaes.calibration.lag import LagCurve
-from dvrk_cmaes.calibration.masks_and_sizes import margin_taken_off
+from dvrk_cmaes.calibration.masks_and_sizes import MARGIN, taken_off
 from dvrk_cmaes.calibration.model import (
     Correction,
     Deviations,
@@ -176,7 +176,7 @@ class SessionCalibration:
     @property
     def margin_px(self) -> float:
         """Margin, px, that is taken off the masks."""
-        return margin_taken_off(self.blocks)
+        return taken_off(self.blocks.get(MARGIN))
 
     @property
     def applied_lag(self) -> Lag | None:

@@ -157,7 +157,7 @@ class Linearised:
         return self.fits.at.moved(marginalise(self.model, self.fits, self.solution.calibration).own)
 
     def shown_of(self, block: SeenBlock) -> tuple[Float64, Float64]:
-        """Return what the frames show of a block by themselves, where others are known as beforehand: (n,) and (n, n).
+        """Return what the frames show of a block without its prior, where others have theirs: (n,) and (n, n).
 
         These are its values, and their covariance.
         """

@@ -12,7 +12,7 @@ the camera's file is right.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar, Final
 
@@ -75,9 +75,8 @@ def square_left(margin: FoundBlock) -> Float64:
     return np.square([margin.std]) + (0.0 if margin.applied else np.square([margin.values]))
 
 
-def margin_taken_off(blocks: Mapping[str, FoundBlock]) -> float:
-    """Return the margin, px, that is taken off the masks of a session with these blocks."""
-    margin = blocks.get(MARGIN)
+def taken_off(margin: FoundBlock | None) -> float:
+    """Return the margin, px, that is taken off the masks of a session which determines one, or None."""
     return margin.values[0] if margin is not None and margin.applied else 0.0
 
 

@@ -373,11 +373,21 @@ def predict_from_first(
 ) -> dict[str, Posed]:
     """Predict frames of a recording from the modes of its ``first`` frames, in the order they were taken.
 
-    ``first`` were estimated by themselves, ``others`` are the readings of the frames to predict, by name, rad and m,
-    and ``setup`` has the recording's instrument, arm, settings and all readings. Returns the root's pose in the
-    reference camera and the joints, by name, of frames that have readings of all outer joints at the time of their
-    image less the lag. Empty if the first frames do not agree, or the base moved: in which piece the others are is not
-    known yet.
+    Parameters
+    ----------
+    first
+        Frames that were estimated by themselves.
+    others
+        The readings of the frames to predict, by name, rad and m.
+    setup
+        The recording's instrument, arm, settings and all readings.
+
+    Returns
+    -------
+    dict of str to Posed
+        The root's pose in the reference camera and the joints, by name; without the frames that have no readings of
+        all outer joints at the time of their image less the lag. Empty if the first frames do not agree, or the base
+        moved: in which piece the others are is not known yet.
     """
     try:
         arm = initialised(started([ArmSession.of(setup, [frame for frame in first if not frame.lacks])])[0])

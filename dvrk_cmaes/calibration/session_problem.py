@@ -16,7 +16,7 @@ from dvrk_cmaes.calibration.consensus import (
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.lag import SessionLag
 from dvrk_cmaes.calibration.linearise import ArmOutlines
-from dvrk_cmaes.calibration.masks_and_sizes import MaskMargin
+from dvrk_cmaes.calibration.masks_and_sizes import MaskMargin, taken_off
 from dvrk_cmaes.calibration.model import CommonErrors, SessionModel
 from dvrk_cmaes.calibration.session_camera import CameraChange
 from dvrk_cmaes.calibration.session_frame import Run, SessionFrame, StoredFrame
@@ -172,7 +172,7 @@ class ArmSession:
     @property
     def taken_off(self) -> float:
         """Margin, px, that is taken off all masks."""
-        return 0.0 if self.margin is None else self.margin.values[0]
+        return taken_off(self.margin)
 
     @property
     def checked(self) -> BlockCheck:
