@@ -125,10 +125,10 @@ class LookAtRange:
 class LossWeights:
     """Weights of the terms of the loss: lambda 1 to 5 of the paper, and that of the readings.
 
-    They were chosen by hand, and are not decisive: of 72 frames without readings the search found the mode of 60 with
-    all terms, and 57 to 62 without any one of them, which the frames' number does not distinguish from 60
-    (data/experiments/ablation.md, when all modes were refined). Now the best twelve by this loss are. The refinement
-    does not use these terms.
+    They were chosen by hand, and are not decisive: of 108 frames without readings the search found the mode of 82 with
+    all terms, and of 84 to 86 without one of mse, dist, scale and cylinder, which the frames' number does not
+    distinguish from 82 (data/reference/experiments.md). The twelve best modes by this loss are refined, and the
+    refinement does not use these terms.
 
     Attributes
     ----------
