@@ -127,7 +127,7 @@ class LossWeights:
 
     They were chosen by hand, and are not decisive: of 108 frames without readings the search found the mode of 82 with
     all terms, and of 84 to 86 without one of mse, dist, scale and cylinder, which the frames' number does not
-    distinguish from 82 (data/reference/experiments.md). The twelve best modes by this loss are refined, and the
+    distinguish from 82 (data/measurements/frames.md). The twelve best modes by this loss are refined, and the
     refinement does not use these terms.
 
     Attributes
