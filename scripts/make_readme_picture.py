@@ -42,8 +42,8 @@ SHOWN = (0.45, 0.0, 1.0, 1.0)  # left, top, right and bottom of the part that is
 LOOKAT = 8  # candidates that are shown, of those drawn in the LookAt space
 COLOURS = ((38, 38, 44), (214, 214, 214), (230, 120, 60), (70, 140, 230))  # of none, both, mask alone, silhouette alone
 
-FOLLOWED_WIDTH = 880  # px
-FOLLOWED_QUALITY = 10  # of the WebP, 0 to 100
+FOLLOWED_WIDTH = 960  # px
+FOLLOWED_QUALITY = 6  # of the WebP, 0 to 100
 
 
 def main() -> None:
