@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
@@ -45,7 +47,7 @@ def inspect(
     Parameters
     ----------
     files
-        Files or folders of any kind.
+        Files or folders of any kind, or patterns of these in quotes.
     camera
         How camera files are read; the camera of a folder of frames in the published layout.
     reading
@@ -63,7 +65,8 @@ def inspect(
     options = Options(camera.rectified, camera.side, packages, camera.camera, read_as)
     code = 0
     documents = []
-    for number, file in enumerate(files):
+    named = (sorted(file.parent.glob(file.name)) if not os.path.lexists(file) else [] for file in files)
+    for number, file in enumerate(chain.from_iterable(of or [file] for of, file in zip(named, files, strict=True))):
         try:
             found = inspect_path(file, options)
         except InputError as error:

@@ -30,6 +30,9 @@ from dvrk_cmaes.io.short_text import shown
 _LARGEST = 400_000_000  # bytes
 THRESHOLD = 127  # above which a mask is instrument
 _MOST_OF_EDGE, _MOST_OF_IMAGE = 0.7, 0.6  # shares in a mask from which on it is taken for an inverted one
+MOST_LABELS = 16
+_SOFT, _SHARP_SHARE = 40, 0.98  # so near to 0 or 255, for JPEG's compression, is at least this share of a mask
+_PLACES = np.array([1, 256, 65536])  # of the channels of a colour in its number
 _ASPECT, _ROUNDED_ASPECT = 0.005, 0.02  # by which the aspects of mask and calibration may differ, as a share
 _SKIPPED = re.compile(r"Corrupt JPEG data: \d+ extraneous bytes")  # libjpeg's words for bytes skipped without a loss
 
@@ -118,6 +121,14 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
     """
     data, _ = read_image_file(path, "an image")
     return decode_image(path, data, "an image", cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+
+
+def looks_like_mask(pixels: NDArray[np.uint8]) -> bool:
+    """Whether a picture (H, W, 3) has few colours, as labels have, or is grey and almost only black and white."""
+    colours, grey = len(np.unique(pixels.reshape(-1, 3) @ _PLACES)), pixels[:, :, 0]
+    if grey.max() <= THRESHOLD or not (pixels == pixels[:, :, :1]).all():
+        return 1 < colours <= MOST_LABELS
+    return bool(np.mean((grey < _SOFT) | (grey > 255 - _SOFT)) >= _SHARP_SHARE) or colours <= MOST_LABELS
 
 
 def match_size(

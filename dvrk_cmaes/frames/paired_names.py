@@ -68,7 +68,7 @@ def counted_apart(names: Collection[str], others: Collection[str]) -> bool:
 
     Of at least three, one are counted from 0, the others from 1; or one are Label Studio's tasks, with one mask each.
     """
-    if len(names) != len(others):  # readings may have millions of rows
+    if len(names) != len(others) or {*names} == {*others}:  # readings may have millions of rows
         return False
     numbers, theirs = (sorted(map(_counted, of_either)) for of_either in (names, others))
     if all(map(_TASK.match, names)) != all(map(_TASK.match, others)):

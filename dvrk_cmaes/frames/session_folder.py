@@ -7,7 +7,8 @@ A session folder contains::
     masks/<frame>.png or images/<frame>.png|jpg, or both
     images.csv (frame, time), ignore/<frame>.png, keypoints.csv, boxes.csv, golden.json (each optional)
 
-Pictures that are not in a folder images lie in the session folder itself, if that has no folder masks.
+Pictures that are not in a folder images lie in the session folder itself, if that has no folder masks; they are
+masks if they look like masks.
 
 A stereo session has left.yaml, right.yaml, and masks/left, masks/right, images/left and so on.
 
@@ -21,6 +22,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -31,6 +33,7 @@ from dvrk_cmaes.camera.rig_files import read_rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.coco_mask import FILES, frames_of
 from dvrk_cmaes.frames.frame import FrameFiles
+from dvrk_cmaes.frames.images import looks_like_mask, read_image
 from dvrk_cmaes.frames.keypoints import Hints, read_boxes, read_keypoints
 from dvrk_cmaes.frames.paired_names import counted_apart, named_as, paired, with_masks_beside, with_names_of
 from dvrk_cmaes.frames.picture_fit import fitted
@@ -362,6 +365,8 @@ def _pictures(root: Path, mask_folder: Path, views: Sequence[str], *, filmed: bo
     check_own(root, (path for kinds in of_views for of_kind in kinds for path in of_kind.values()))
     if folders[1] == root and (both := with_masks_beside(of_views[0][1])):
         raise InputError(f"{root}: expected folders images and masks, got both kinds in one: {listed(both)}")
+    if folders[1] == root and not of_views[0][0] and _are_masks([*of_views[0][1].values()]):
+        of_views[0][:2] = of_views[0][1::-1]
     if not filmed and not any(files for kinds in of_views for files in kinds[:2]):
         known = mask_folder != root / "masks" or is_session_layout(root)
         if not known and (inside := sorted(path.name for path in root.iterdir())):
@@ -371,6 +376,13 @@ def _pictures(root: Path, mask_folder: Path, views: Sequence[str], *, filmed: bo
             )
         raise InputError(f"{mask_folder}: expected masks (PNG or JPEG) of the frames, got {_other_files(mask_folder)}")
     return of_views
+
+
+def _are_masks(paths: Sequence[Path]) -> bool:
+    """Whether pictures look like masks, by one in their middle; images, if that is damaged."""
+    with suppress(InputError):
+        return looks_like_mask(read_image(paths[len(paths) // 2]))
+    return False
 
 
 def _with_readings(frame: FrameFiles, files: Sequence[JointFile], time: int | None) -> tuple[FrameFiles, int | None]:

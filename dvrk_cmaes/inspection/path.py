@@ -25,7 +25,7 @@ from dvrk_cmaes.camera.rig import Rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.coco_mask import frames_of
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
-from dvrk_cmaes.frames.images import THRESHOLD, read_ignore, read_image, read_mask
+from dvrk_cmaes.frames.images import MOST_LABELS, THRESHOLD, looks_like_mask, read_ignore, read_image, read_mask
 from dvrk_cmaes.frames.keypoints import read_boxes, read_keypoints
 from dvrk_cmaes.frames.markers import read_detections
 from dvrk_cmaes.frames.published_layout import is_published_layout
@@ -58,9 +58,6 @@ _LABEL_RULES = {
     "number": "a frame's readings are found by the number that its name ends in",
     "message": "a frame's readings are found by the image's time",
 }
-_SOFT = 40  # largest deviation of a mask's pixels from 0 or 255 due to JPEG compression
-_SHARP_SHARE = 0.98  # least fraction of pixels near 0 or 255 in a mask
-_MOST_LABELS = 16
 _DESCRIPTIONS = ("readings: ", "camera: ")
 _FOLLOWED, _CALIBRATED = 12, 3  # least numbers of frames that are followed, and that are calibrated
 _CONSECUTIVE = 0.25  # s, between images that are taken for consecutive ones
@@ -312,26 +309,27 @@ def _inspect_picture(path: Path) -> Finding:
     size = f"{width} x {height} px"
     grey = pixels[:, :, 0]
     if not (np.array_equal(grey, pixels[:, :, 1]) and np.array_equal(grey, pixels[:, :, 2])):
-        return Finding("image", (f"{size}, in colour",), read)
+        return Finding("image", (_next_of("estimate", "--image", path, beside=path), f"{size}, in colour"), read)
     if path.parent.name == "ignore":
         share = float(read_ignore(path).mean())
         notes = ("it lies in a folder called ignore: above 127 counts neither way",)
         return Finding("ignored pixels", (f"{size}, {share:.2%} ignored",), {**read, "ignored": share}, notes)
     labels, counts = np.unique(grey, return_counts=True)
-    if labels.max() <= THRESHOLD and len(labels) <= _MOST_LABELS:
+    if labels.max() <= THRESHOLD and len(labels) <= MOST_LABELS:
         shares = {str(label): float(count / grey.size) for label, count in zip(labels, counts, strict=True)}
         text = ", ".join(f"{label}: {share:.2%}" for label, share in shares.items())
         rule = f"no value is above {THRESHOLD} and few differ: labels; --label says which is the instrument"
         return Finding("mask of labels", (f"{size}, shares of the labels {text}",), {**read, "labels": shares}, (rule,))
-    sharp = float(np.mean((grey < _SOFT) | (grey > 255 - _SOFT)))
-    if sharp < _SHARP_SHARE:
-        return Finding("image", (f"{size}, grey",), read, ("grey with many values between: an image, not a mask",))
+    if not looks_like_mask(pixels):
+        rule = "grey with many values between: an image, not a mask"
+        return Finding("image", (_next_of("estimate", "--image", path, beside=path), f"{size}, grey"), read, (rule,))
     mask = read_mask(path)
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    within = f"within columns {columns[0]} to {columns[-1]} and rows {rows[0]} to {rows[-1]}"
     box = [int(columns[0]), int(rows[0]), int(columns[-1]), int(rows[-1])]
     return Finding(
         "mask",
-        (f"{size}, {mask.mean():.2%} instrument, within columns {box[0]} to {box[2]} and rows {box[1]} to {box[3]}",),
+        (_next_of("estimate", "--mask", path, beside=path), f"{size}, {mask.mean():.2%} instrument, {within}"),
         {**read, "instrument": float(mask.mean()), "box": box},
         (f"almost all pixels are near 0 or 255: a mask; above {THRESHOLD} is instrument",),
     )
@@ -367,6 +365,15 @@ def _inspect_urdf(path: Path, options: Options) -> Finding:
 def _next_command(*words: object) -> str:
     """Say which command to type next."""
     return f"next: dvrk-cmaes {shlex.join(map(str, words))}"
+
+
+def _next_of(*words: object, beside: Path) -> str:
+    """Say which command to type next of pictures, with the camera and the readings that are in folders of theirs."""
+    camera, joints = (
+        [file for folder in beside.absolute().parents[:2] if (file := folder / name).is_file()][:1]
+        for name in ("camera.yaml", "joints.csv")
+    )
+    return _next_command(*words, "--camera", *(camera or ["camera.yaml"]), *(["--joints", *joints] if joints else []))
 
 
 def _inspect_bag(path: Path) -> Finding:
@@ -439,7 +446,7 @@ def _inspect_pictures(path: Path, pictures: Sequence[Path]) -> Finding:
         kinds[f"{finding.kind}, {finding.read['width']} x {finding.read['height']} px"] += 1
     skipped = sorted({file.name for file in path.iterdir()} - {picture.name for picture in pictures})
     lines = (
-        *([_next_command("batch", path, "--camera", "camera.yaml")] if "image" in str(kinds.keys()) else []),
+        _next_of("batch", path, beside=path),
         f"{counted(len(pictures), 'picture')}: {listed(picture.stem for picture in pictures)}",
         *(f"{number} of {len(pictures)}: {kind}" for kind, number in kinds.most_common()),
         *([f"skipped: {listed(skipped)}"] if skipped else []),

@@ -15,6 +15,7 @@ import os
 import stat
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
@@ -129,17 +130,26 @@ def check_own(given: Path, paths: Iterable[Path | None]) -> None:
     InputError
         A path, or a folder of it, is a link that leaves the folder.
     """
-    folder = Path(os.path.abspath(given))
-    real = os.path.realpath(given) if os.path.exists(given) else str(folder)
-    for path in (Path(os.path.abspath(path)) for path in paths if path is not None):
-        if folder in path.parents and not Path(target := os.path.realpath(path)).is_relative_to(real):
-            own = path
-            while not Path(os.path.realpath(own.parent)).is_relative_to(real):
-                own = own.parent
+    folder = os.path.abspath(given)
+    real, real_folder = os.path.realpath(given) if os.path.exists(given) else folder, cache(os.path.realpath)
+    for path in (os.path.abspath(path) for path in paths if path is not None):
+        if _is_in(folder, place := os.path.dirname(path)):
+            target = (
+                os.path.realpath(path) if os.path.islink(path) else f"{real_folder(place)}/{os.path.basename(path)}"
+            )
+            if _is_in(real, target):
+                continue
+            while not _is_in(real, real_folder(os.path.dirname(path))):
+                path = os.path.dirname(path)
             raise InputError(
-                f"{own}: expected a file in {folder}, got a link that leaves it, to {target}; copy what it leads "
+                f"{path}: expected a file in {folder}, got a link that leaves it, to {target}; copy what it leads "
                 "to into the folder"
             )
+
+
+def _is_in(folder: str, path: str) -> bool:
+    """Whether a path is a folder, or in it, as both are written."""
+    return f"{path}/".startswith(f"{folder.rstrip('/')}/")
 
 
 def check_own_folder(folder: Path) -> None:
