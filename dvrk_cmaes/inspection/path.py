@@ -369,11 +369,10 @@ def _next_command(*words: object) -> str:
 
 def _next_of(*words: object, beside: Path) -> str:
     """Say which command to type next of pictures, with the camera and the readings that are in folders of theirs."""
-    camera, joints = (
-        [file for folder in beside.absolute().parents[:2] if (file := folder / name).is_file()][:1]
-        for name in ("camera.yaml", "joints.csv")
-    )
-    return _next_command(*words, "--camera", *(camera or ["camera.yaml"]), *(["--joints", *joints] if joints else []))
+    for option, name in (("--camera", "camera.yaml"), ("--joints", "joints.csv")):
+        there = [file for folder in (beside.parent, beside.parent.parent) if (file := folder / name).is_file()]
+        words += (option, there[0]) if there else (option, name) if name == "camera.yaml" else ()
+    return _next_command(*words)
 
 
 def _inspect_bag(path: Path) -> Finding:
