@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
+from scipy.special import softmax
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import Float64, Posed, adjoint, inverse, moved
@@ -340,3 +341,28 @@ class Calibration:
         """Return the calibration with the blocks that change what is predicted only, less one of some name."""
         kept = tuple(block for block in self.predicted if block.name != without)
         return Calibration(kept, {block.name: self.values[block.name] for block in kept})
+
+
+def with_prior(alone: Float64, covariance: Float64, std: Float64) -> tuple[Float64, Float64]:
+    """Return values (n,) and their covariance (n, n) with normal priors about zero, of standard deviations (n,)."""
+    gain = np.diag(std**2) @ np.linalg.inv(covariance + np.diag(std**2))
+    return gain @ alone, gain @ covariance
+
+
+def distance(alone: Float64, covariance: Float64, std: Float64) -> float:
+    """Return the squared Mahalanobis distance of values from zero; arguments as of `with_prior`."""
+    return float(alone @ np.linalg.solve(covariance + np.diag(std**2), alone))
+
+
+def with_mixture(
+    alone: Float64, covariance: Float64, priors: Sequence[tuple[float, Float64]]
+) -> tuple[Float64, Float64]:
+    """Return the mean (n,) and mean square (n, n) of values whose prior is a mixture of normal ones about zero.
+
+    ``priors`` are the share of each and its standard deviations (n,).
+    """
+    each = [with_prior(alone, covariance, std) for _, std in priors]
+    whole = [np.linalg.slogdet(covariance + np.diag(std**2))[1] + distance(alone, covariance, std) for _, std in priors]
+    weights = softmax(np.log([share for share, _ in priors]) - 0.5 * np.array(whole))
+    squares = [spread + np.outer(mean, mean) for mean, spread in each]
+    return np.einsum("k,ki->i", weights, [mean for mean, _ in each]), np.einsum("k,kij->ij", weights, squares)

@@ -22,10 +22,9 @@ from typing import Final, Literal
 
 import numpy as np
 
-from dvrk_cmaes.calibration.blocks import Calibration
 from dvrk_cmaes.calibration.lag import SessionLag
-from dvrk_cmaes.calibration.model import Correction, Deviations, SessionModel, frames_alike
-from dvrk_cmaes.calibration.solve import FrameFits, Solved
+from dvrk_cmaes.calibration.model import Correction, Deviations, frames_alike
+from dvrk_cmaes.calibration.solve import ArmFrames, Solved
 from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.io.encode import Document, rounded, rounded_array
 from dvrk_cmaes.io.typed_document import Number, Texts, refused
@@ -103,21 +102,13 @@ class CableFit:
         return Deviations(np.concatenate([usual.outer[:_ROLL], self.noise[:1]]), self.noise[1:], usual.slack)
 
 
-def estimate_cables(
-    model: SessionModel,
-    fits: FrameFits,
-    solution: Solved,
-    lag: SessionLag,
-    usual: Deviations,
-    *,
-    last: bool,
-) -> tuple[CableFit, CableFit]:
+def estimate_cables(solution: Solved, lag: SessionLag, usual: Deviations, *, last: bool) -> tuple[CableFit, CableFit]:
     """Fit the cables of a session; returns the fits of `fit_cables`.
 
     Parameters
     ----------
-    model, fits, solution
-        The model of the frames, their fits and the solution.
+    solution
+        The frames of an arm that is solved.
     lag
         Has the frames' times, and the readings between them.
     usual
@@ -125,9 +116,10 @@ def estimate_cables(
     last
         Whether it is the last round.
     """
-    names, times = ("roll", *model.names), lag.seconds()
+    model, times = solution.model, lag.seconds()
+    names = ("roll", *model.names)
     weights = solution.weights if times is None else solution.weights / frames_alike(times, _ALIKE_SECONDS)
-    information, vector = observe_errors(model, fits, solution.calibration, weights)
+    information, vector = observe_errors(solution, weights)
     readings, prior = np.concatenate([model.outer[:, _ROLL:], model.joints], axis=1), cable_prior(names)
     play, offsets = lag.play(names, readings, prior.model.width), solution.calibration.offsets[1:]
     noise = np.concatenate([usual.outer[_ROLL:], usual.joints])
@@ -136,13 +128,12 @@ def estimate_cables(
     return fit_cables(seen, prior, MARGIN if last else 0.0)
 
 
-def observe_errors(
-    model: SessionModel, fits: FrameFits, calibration: Calibration, weights: Float64
-) -> tuple[Float64, Float64]:
+def observe_errors(solution: ArmFrames, weights: Float64) -> tuple[Float64, Float64]:
     """Return information (N, C, C) and vector (N, C) of each frame about the errors beyond the offsets.
 
     Pose and slack of the frames are eliminated; ``weights`` (N,) are robust ones. The model's corrections do not count.
     """
+    model, fits, calibration = solution.model, solution.fits, solution.calibration
     count = len(model.names)
     bare = replace(model, correction=Correction.none(len(model.outer), count))
     off = bare.predict(calibration).minus(fits.at)

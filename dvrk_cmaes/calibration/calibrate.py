@@ -32,7 +32,7 @@ from dvrk_cmaes.calibration.session_frame import (
 )
 from dvrk_cmaes.calibration.session_problem import LEAST_FRAMES, ArmSession, ArmSetup
 from dvrk_cmaes.calibration.session_rig import rotations_of_session, turns_of
-from dvrk_cmaes.calibration.solve import leave_one_out, marginalise
+from dvrk_cmaes.calibration.solve import leave_one_out
 from dvrk_cmaes.calibration.together import Begun, Outcome, solved_alone
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.errors import InputError
@@ -325,7 +325,7 @@ def _covariances(arm: ArmSession) -> Float64:
     Axes are the changes of the root's pose in its own axes and the joints, m and rad.
     """
     solution, by_margin = arm.solution, np.array([fit.by_margin for fit in arm.fits])
-    frames = marginalise(arm.model, arm.outlines(keep_all=True), solution.calibration)
+    frames = arm.outlines(keep_all=True).eliminated
     moved = frames.gain @ arm.model.jacobian(solution.calibration)
     own = times(frames.covariance, by_margin)
     of_margin = covariance_of_margin(arm.checked.blocks.get(MARGIN), own, moved, new=0.0)

@@ -18,8 +18,15 @@ from typing import ClassVar, Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.blocks import CLEAR, FoundBlock, OutlineOfView, SeenBlock, ViewAsSeen
-from dvrk_cmaes.calibration.linearise import with_mixture, with_prior
+from dvrk_cmaes.calibration.blocks import (
+    CLEAR,
+    FoundBlock,
+    OutlineOfView,
+    SeenBlock,
+    ViewAsSeen,
+    with_mixture,
+    with_prior,
+)
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Float64, apply

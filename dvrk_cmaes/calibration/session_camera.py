@@ -16,8 +16,17 @@ from typing import Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.blocks import CLEAR, NAMED, FoundBlock, OutlineOfView, SeenBlock, ViewAsSeen
-from dvrk_cmaes.calibration.linearise import distance, with_mixture, with_prior
+from dvrk_cmaes.calibration.blocks import (
+    CLEAR,
+    NAMED,
+    FoundBlock,
+    OutlineOfView,
+    SeenBlock,
+    ViewAsSeen,
+    distance,
+    with_mixture,
+    with_prior,
+)
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.session_frame import changed
 from dvrk_cmaes.camera import Camera

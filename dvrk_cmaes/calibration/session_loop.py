@@ -27,7 +27,7 @@ from dvrk_cmaes.calibration.endoscope import Pieces, Place, Steered
 from dvrk_cmaes.calibration.frame_fit import starts_of
 from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, in_common
 from dvrk_cmaes.calibration.lag_search import find_lag
-from dvrk_cmaes.calibration.linearise import PASSES, Linearised, linearise
+from dvrk_cmaes.calibration.linearise import PASSES, linearise, linearised, plausible
 from dvrk_cmaes.calibration.masks_and_sizes import MARGIN, PartSizes, WholeSize, square_left
 from dvrk_cmaes.calibration.model import Deviations, SessionModel, ecm_readings, frames_alike, outer_readings
 from dvrk_cmaes.calibration.session_camera import (
@@ -42,8 +42,7 @@ from dvrk_cmaes.calibration.session_endoscope import LEAST_PIECE, describe_piece
 from dvrk_cmaes.calibration.session_frame import SessionFrame, fit_task, gather_task
 from dvrk_cmaes.calibration.session_problem import LEAST_FRAMES, Arms, ArmSession, ArmSetup, MakeBlock
 from dvrk_cmaes.calibration.session_rig import turns_of
-from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, solve_arms, solve_with_modes, solve_with_variances
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.calibration.solve import Solved, solve_arms, solve_with_modes, solve_with_variances
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.expected_error import file_covariance
@@ -199,7 +198,7 @@ def solved(arms: Arms) -> Arms:
         arms = _estimated(arms, keep_all=scale != 1.0, last=last)
         if number == _ROUNDS - 1 or (setup.refine_camera and not last):
             arms = _with_seen(arms, last=number == _ROUNDS - 1)
-    found, out = solve_arms([ArmFrames(arm.model, arm.outlines(), arm.calibration) for arm in arms]), []
+    found, out = solve_arms([arm.outlines() for arm in arms]), []
     for arm, own in zip(arms, found, strict=True):
         pairs = zip(arm.fits, arm.model.priors(own.calibration), strict=True)
         fits = tuple(fit.moved_to(prior) if fit.step_to(prior) < _NEAR else fit for fit, prior in pairs)
@@ -248,26 +247,21 @@ def _estimated(arms: Arms, *, keep_all: bool, last: bool) -> Arms:
     if not keep_all:
         for arm in arms:
             arm.check_agreement()
-    fits = [arm.outlines(keep_all=keep_all) for arm in arms]
-    arms = [replace(arm, moved=None) for arm in _with_variances(arms, fits)]
-    if not keep_all and arms[0].setup.config.session.cables:
-        arms = [_with_cables(arm, own, last=last) for arm, own in zip(arms, fits, strict=True)]
+    config = arms[0].setup.config.session
+    solved = solve_with_variances([arm.outlines(keep_all=keep_all) for arm in arms], config)
+    arms = [replace(arm, model=own.model, found=own, moved=None) for arm, own in zip(arms, solved, strict=True)]
+    if not keep_all and config.cables:
+        arms = [_with_cables(arm, last=last) for arm in arms]
         if any(arm.cables is not None and arm.cables[0].parts for arm in arms):
-            arms = _with_variances(arms, fits)
+            solved = solve_with_variances([replace(arm.solution, model=arm.model) for arm in arms], config)
+            arms = [replace(arm, model=own.model, found=own) for arm, own in zip(arms, solved, strict=True)]
     return arms
 
 
-def _with_variances(arms: Arms, fits: Sequence[FrameFits]) -> Arms:
-    """Estimate the calibrations together with the variances."""
-    frames = [ArmFrames(arm.model, own, arm.calibration) for arm, own in zip(arms, fits, strict=True)]
-    each = zip(arms, *solve_with_variances(frames, arms[0].setup.config.session), strict=True)
-    return [replace(arm, model=model, found=own) for arm, model, own in each]
-
-
-def _with_cables(arm: ArmSession, fits: FrameFits, *, last: bool) -> ArmSession:
+def _with_cables(arm: ArmSession, *, last: bool) -> ArmSession:
     """Fit what cables do to the readings, besides the blocks: `cables` says why."""
     usual = Deviations.of(arm.setup.config.session, arm.model.names)
-    cables = estimate_cables(arm.model, fits, arm.solution, arm.lag, usual, last=last)
+    cables = estimate_cables(arm.solution, arm.lag, usual, last=last)
     usual, own = (cables[0].deviations(one) for one in (usual, arm.model.deviations))
     model = replace(arm.model, correction=cables[0].correction, deviations=own, usual=usual)
     return replace(arm, cables=cables, model=model)
@@ -280,21 +274,20 @@ def _with_seen(arms: Arms, *, last: bool) -> Arms:
     camera's estimate is not plausible at ``last``.
     """
     setup, out = arms[0].setup, list[ArmSession]()
-    estimates = linearise([arm.outlined(wide=setup.refine_camera) for arm in arms], setup.config.session)
-    if not all(estimate.plausible for estimate in estimates):
+    estimates = linearise([arm.outlined(wide=setup.refine_camera) for arm in arms])
+    if not plausible(estimates):
         if last:
             raise arms[0].camera_refused(IMPLAUSIBLE)
         return arms
     for arm, own in zip(arms, estimates, strict=True):
-        camera, margin = own.blocks
+        camera, margin = own.calibration.seen
         if setup.refine_camera:
             arm = replace(arm, change=own.value(CAMERA))
         else:
             found, _ = margin.stated(*estimates[0].shown_of(margin))
-            held, _ = own.solution.with_std({CAMERA: _HELD * camera.known})
-            own = replace(own, solution=replace(own.solution, calibration=held))
+            own = replace(own, calibration=own.with_std({CAMERA: _HELD * camera.known})[0])
             arm = replace(arm, margin=found)
-        out.append(arm.at(own.solution.calibration.alone(), moved=own.at))
+        out.append(arm.at(own.calibration.alone(), moved=own.at))
     return out
 
 
@@ -331,27 +324,24 @@ def _checks(arms: Arms) -> list[BlockCheck]:
     if not session.test_camera and not refined:
         reason = _NOT_ASKED
     wide, passes = [arm.outlined(*TESTED, wide=True) for arm in arms], PASSES if reason is None and not refined else 1
-    begun = [arm.linearised() for arm in wide]
-    found = linearise(wide, session, passes=passes, first=begun)
-    if far := passes > 1 and not all(one.plausible for one in found):
-        found = linearise(wide, session, passes=1, first=begun)
+    begun = [linearised(arm, arm.common) for arm in wide]
+    found = linearise(wide, passes=passes, first=begun)
+    if far := passes > 1 and not plausible(found):
+        found = linearise(wide, passes=1, first=begun)
     by_file = found
     if not refined and reason != _NOT_ASKED:
-        by_file = linearise([arm.outlined(*TESTED, wide=False) for arm in arms], session, first=begun)
-    each = zip(arms, found, by_file, wide, strict=True)
-    return [_check(arm, there, near, own.camera, reason, far=far) for arm, there, near, own in each]
+        by_file = linearise([arm.outlined(*TESTED, wide=False) for arm in arms], first=begun)
+    return [_check(*each, reason, far=far) for each in zip(arms, found, by_file, strict=True)]
 
 
-def _check(
-    arm: ArmSession, there: Linearised, near: Linearised, camera: Camera, reason: str | None, *, far: bool
-) -> BlockCheck:
+def _check(arm: ArmSession, there: Solved, near: Solved, reason: str | None, *, far: bool) -> BlockCheck:
     """Judge the estimates of an arm with a wide prior of the camera, and ``near`` its file.
 
     ``reason`` is why the camera is not tested, ``far`` whether its estimate was not plausible.
     """
     config, blocks = arm.setup.config, dict[str, FoundBlock]()
-    errors, covariance = file_covariance(camera, config.camera), np.zeros((arm.calibration.own,) * 2)
-    for block in there.blocks:
+    errors, covariance = file_covariance(arm.camera, config.camera), np.zeros((arm.calibration.own,) * 2)
+    for block in there.calibration.seen:
         alone, spread = (there if block.is_alike else near).shown_of(block)
         found, left = block.stated(alone, config.session.shared_errors**2 * spread if block.is_alike else spread)
         if block.name == MARGIN and arm.margin is not None:

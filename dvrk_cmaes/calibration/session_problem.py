@@ -10,20 +10,14 @@ import numpy as np
 
 from dvrk_cmaes.calibration.blocks import BlockCheck, Calibration, FoundBlock, SeenBlock
 from dvrk_cmaes.calibration.cables import CableFit
-from dvrk_cmaes.calibration.consensus import (
-    Mode,
-)
+from dvrk_cmaes.calibration.consensus import Mode
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.lag import SessionLag
-from dvrk_cmaes.calibration.linearise import ArmOutlines
 from dvrk_cmaes.calibration.masks_and_sizes import MaskMargin, taken_off
 from dvrk_cmaes.calibration.model import CommonErrors, SessionModel
 from dvrk_cmaes.calibration.session_camera import CameraChange
 from dvrk_cmaes.calibration.session_frame import Run, SessionFrame, StoredFrame
-from dvrk_cmaes.calibration.solve import (
-    FrameFits,
-    Solved,
-)
+from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, Solved
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -151,7 +145,6 @@ class ArmSession:
             modes=tuple(self.modes[i] for i in index),
             model=self.model.subset(index),
             lag=self.lag.subset(index),
-            stored=tuple(self.stored[i] for i in index) if self.stored else (),
         )
 
     def noted(self, *, remarks: Sequence[str] = (), undetermined: Sequence[str] = ()) -> ArmSession:
@@ -186,29 +179,38 @@ class ArmSession:
         by_lag = self.lag.change_of_predictions(self.model, self.calibration)
         return CommonErrors(self.times, by_lag, self.setup.config.session.alike_seconds)
 
-    def outlines(self, *, keep_all: bool = False) -> FrameFits:
+    def outlines(self, *, keep_all: bool = False) -> ArmFrames:
         """Return the current fits; without the outlines that do not explain the mask, unless ``keep_all``."""
         fits = [fit if fit.explains_mask or keep_all else fit.without_outline() for fit in self.fits]
-        return FrameFits.of(fits, self.common)
+        return ArmFrames(self.model, FrameFits.of(fits, self.common), self.calibration)
 
-    def outlined(self, *tested: MakeBlock, wide: bool) -> ArmOutlines:
-        """Return the outlines of all frames in one view about their fits, as functions of camera, margin and others.
+    @property
+    def shown(self) -> list[int | None]:
+        """Number of the one view in which each frame's outline shows the blocks; None if its fit does not explain it.
 
         The view is that of the reference camera; another one if that does not show the instrument in any frame.
-        ``tested`` make the other blocks; ``wide`` is whether the camera has a wide prior instead of that of its file.
         """
         shown = [stored for stored in self.stored if stored.in_reference] or self.stored
-        name, config = str(shown[0].views[0].name), self.setup.config
-        pairs = zip(self.fits, self.stored, strict=True)
-        numbers = [stored.number_of(name) if fit.explains_mask else None for fit, stored in pairs]
-        camera = self.stored[0].views[numbers[0] or 0].evidence.camera
+        name, pairs = str(shown[0].views[0].name), zip(self.fits, self.stored, strict=True)
+        return [stored.number_of(name) if fit.explains_mask else None for fit, stored in pairs]
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of the first frame in that view, as its file has it."""
+        return self.stored[0].views[self.shown[0] or 0].evidence.camera
+
+    def outlined(self, *tested: MakeBlock, wide: bool) -> ArmSession:
+        """Return the arm with the blocks of what is seen: camera, margin and others.
+
+        ``tested`` make the other blocks; ``wide`` is whether the camera has a wide prior instead of that of its file.
+        """
+        config, camera = self.setup.config, self.camera
         blocks = (
             CameraChange(config, camera, self.change, wide=wide),
             MaskMargin(camera.pixel_scale, self.taken_off, used=self.change is None),
             *(make(config, self.setup.instrument, camera) for make in tested),
         )
-        calibration, at = self.calibration.with_blocks(*blocks), Posed.stacked(one.at for one in self.fits)
-        return ArmOutlines(self.model, calibration, at, self.stored, numbers, self.setup.run, self.common, camera)
+        return self.at(self.calibration.with_blocks(*blocks))
 
     @property
     def disagreements(self) -> list[str]:

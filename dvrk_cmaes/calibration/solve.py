@@ -17,11 +17,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import NamedTuple
 
 import numpy as np
 
-from dvrk_cmaes.calibration.blocks import Calibration
+from dvrk_cmaes.calibration.blocks import Calibration, SeenBlock
 from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Mode, choose_modes
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.model import CommonErrors, Deviations, SessionModel, frames_alike
@@ -103,12 +102,25 @@ class FrameFits:
         return np.asarray(np.linalg.pinv(information, rcond=1e-9, hermitian=True), dtype=np.float64)
 
 
-class ArmFrames(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class ArmFrames:
     """N frames of one arm of a session: their model, their fits, and the values of the blocks on which they depend."""
 
     model: SessionModel
     fits: FrameFits
     calibration: Calibration
+
+    @cached_property
+    def eliminated(self) -> Eliminated:
+        """The frames without their own poses and joints, which are changes from the points of expansion."""
+        predicted = self.model.predict(self.calibration).minus(self.fits.at)
+        information = np.asarray(np.linalg.inv(self.model.covariance(self.calibration)), dtype=np.float64)
+        return eliminate(self.fits.outlines, predicted, information, self.calibration.further - self.fits.further)
+
+    @property
+    def at(self) -> Posed:
+        """The N poses and joints at the minimum of outlines and predictions."""
+        return self.fits.at.moved(self.eliminated.own)
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +164,7 @@ def _places(calibrations: Sequence[Calibration]) -> tuple[tuple[Indices, ...], i
 
 
 @dataclass(frozen=True, eq=False)
-class Solved:
+class Solved(ArmFrames):
     """An arm's part of a solution, by the K unknowns on which its N frames depend; it is number ``arm`` of the session.
 
     ``weights`` (N,) are the robust weights of the frames, ``misfit`` (N,) their squared Mahalanobis distances between
@@ -161,7 +173,6 @@ class Solved:
     frames count as a share of one.
     """
 
-    calibration: Calibration
     weights: Float64
     misfit: Float64
     frame_information: Float64
@@ -213,19 +224,34 @@ class Solved:
         step = -inverse[self._place] @ (more * calibration.deviation)
         return calibration.changed(step), whole.covariance_of(inverse)[self._place]
 
+    def value(self, name: str) -> Float64:
+        """Return the values (n,) of a block of numbers."""
+        return np.asarray(self.calibration.values[name])
+
+    def shown_of(self, block: SeenBlock) -> tuple[Float64, Float64]:
+        """Return what the frames show of a block without its prior, where others have theirs: (n,) and (n, n).
+
+        These are its values, and their covariance.
+        """
+        seen = self.calibration.seen
+        stds = {one.name: one.weak if one.name == block.name else one.known for one in seen}
+        calibration, covariance = self.with_std(stds)
+        place = calibration.place(block.name)
+        return np.asarray(calibration.values[block.name]), covariance[place, place]
+
+    def moved_by(self, block: SeenBlock) -> Float64:
+        """Return by how much the calibration is off per unit of a block, (L, n), L unknowns that are predicted."""
+        own = slice(0, self.calibration.own)
+        return (
+            inverse_information(self.information[own, own]) @ self.information[own, self.calibration.place(block.name)]
+        )
+
 
 def inverse_information(information: Float64) -> Float64:
     """Invert an information matrix (K, K), which rounding may have left with negative eigenvalues."""
     scale = np.sqrt(np.maximum(np.diag(information), 1e-12))
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     return np.asarray((vectors / np.maximum(values, _LEAST_EIGENVALUE)) @ vectors.T / np.outer(scale, scale))
-
-
-def marginalise(model: SessionModel, fits: FrameFits, calibration: Calibration) -> Eliminated:
-    """Eliminate the pose and joints of each frame at a calibration; they are changes from the points of expansion."""
-    predicted = model.predict(calibration).minus(fits.at)
-    information = np.asarray(np.linalg.inv(model.covariance(calibration)), dtype=np.float64)
-    return eliminate(fits.outlines, predicted, information, calibration.further - fits.further)
 
 
 def solve_arms(arms: Sequence[ArmFrames], *, steps: int = MOST_STEPS) -> list[Solved]:
@@ -244,7 +270,7 @@ def solve_arms(arms: Sequence[ArmFrames], *, steps: int = MOST_STEPS) -> list[So
         whole = solutions[0].whole
         step = -np.asarray(np.linalg.solve(whole.information, whole.gradient), dtype=np.float64)
         changed = [one.calibration.changed(step[place]) for one, place in zip(solutions, whole.places, strict=True)]
-        arms = [arm._replace(calibration=own) for arm, own in zip(arms, changed, strict=True)]
+        arms = [ArmFrames(arm.model, arm.fits, own) for arm, own in zip(arms, changed, strict=True)]
         solutions = solution_at(arms)
         if step @ whole.information @ step < 1e-6 * len(step):
             break
@@ -274,8 +300,9 @@ def solution_at(arms: Sequence[ArmFrames]) -> list[Solved]:
         prior[np.ix_(place, place)], deviation[place] = arm.calibration.information, arm.calibration.deviation
     information, independent, gradient = prior.copy(), prior.copy(), prior @ deviation
     parts, found = np.zeros((_PARTS, count)), list[partial[Solved]]()
-    for (model, fits, calibration), place in zip(arms, places, strict=True):
-        frames, jacobian = marginalise(model, fits, calibration), model.jacobian(calibration)
+    for arm, place in zip(arms, places, strict=True):
+        model, fits, calibration, frames = arm.model, arm.fits, arm.calibration, arm.eliminated
+        jacobian = model.jacobian(calibration)
         misfit, both = _misfit(frames, fits.optimum(calibration.further)), np.ix_(place, place)
         weights = robust_weights(misfit)
         weighted = np.swapaxes(jacobian, 1, 2) * (fits.shares * weights)[:, None, None]
@@ -287,7 +314,7 @@ def solution_at(arms: Sequence[ArmFrames]) -> list[Solved]:
         by_lag[place] += times(by_pose, fits.by_lag).sum(axis=0)
         for number, part in enumerate(np.array_split(slopes, min(_PARTS, len(slopes)))):
             parts[number, place] += part.sum(axis=0)
-        found.append(partial(Solved, calibration, weights, misfit, of_frames, slopes))
+        found.append(partial(Solved, model, fits, calibration, weights, misfit, of_frames, slopes))
     used = parts[: max(len(arm.fits.shares) for arm in arms)]
     scattered = np.atleast_2d(len(used) * np.cov(used, rowvar=False))
     whole = Equations(places, information, gradient, independent, scattered, by_lag)
@@ -322,37 +349,30 @@ def leave_one_out(solution: Solved, index: int) -> Calibration:
     return solution.calibration.changed(np.linalg.solve(information, solution.frame_slopes[index]))
 
 
-def solve_with_variances(
-    arms: Sequence[ArmFrames], config: SessionConfig, *, steps: int = MOST_STEPS
-) -> tuple[list[SessionModel], list[Solved]]:
+def solve_with_variances(arms: Sequence[ArmFrames], config: SessionConfig, *, steps: int = MOST_STEPS) -> list[Solved]:
     """Alternate between estimating the calibrations and the variances of each arm; arguments as in `solve_arms`.
 
-    ``config`` is as in `estimate_variances`.
+    The models of the solutions have the variances that were estimated last. ``config`` is as in `estimate_variances`.
     """
     for _ in range(_ITERATIONS):
-        solutions = solve_arms(arms, steps=steps)
-        pairs = zip(arms, solutions, strict=True)
-        models = [estimate_variances(arm.model, arm.fits, own, config) for arm, own in pairs]
-        each = zip(arms, models, solutions, strict=True)
-        arms = [ArmFrames(model, arm.fits, own.calibration) for arm, model, own in each]
-    return models, solutions
+        solutions = [estimate_variances(own, config) for own in solve_arms(arms, steps=steps)]
+        arms = solutions
+    return solutions
 
 
-def estimate_variances(model: SessionModel, fits: FrameFits, solution: Solved, config: SessionConfig) -> SessionModel:
-    """Return the model after one iteration of expectation-maximisation.
+def estimate_variances(solution: Solved, config: SessionConfig) -> Solved:
+    """Return a solution whose model has the variances after one iteration of expectation-maximisation.
 
     Parameters
     ----------
-    model, fits
-        The current model and the outline fits of the same N frames.
     solution
-        Their solution: the calibration, taken as known, and the robust weights of the frames.
+        The calibration, taken as known, and the robust weights of N frames.
     config
         Limits of the standard deviations, and the weight of their initial values.
     """
+    model, frames = solution.model, solution.eliminated
     first, now = (np.concatenate([*vars(one).values()]) for one in (model.usual, model.deviations))
     joints, weights = len(model.names), solution.weights
-    frames = marginalise(model, fits, solution.calibration)
     # of standard normal errors of outer joints, joints and slack, (N, 6 + J, 10 + J)
     own = np.roll(np.eye(6 + joints), 6, axis=0) * now[4:]
     own = own * np.hstack([model.inflation[:, 1:], np.ones((len(weights), 6))])[:, None]
@@ -370,4 +390,5 @@ def estimate_variances(model: SessionModel, fits: FrameFits, solution: Solved, c
     standardised = np.abs(frames.deviation[:, 5:]) / values[3:-6]
     largest = [_MAX_ROLL_INFLATION] + [_MAX_JOINT_INFLATION] * joints
     inflation = np.clip(standardised / config.tail, 1.0, largest)
-    return replace(model, deviations=Deviations(*np.split(values, [4, 4 + joints])), inflation=inflation)
+    model = replace(model, deviations=Deviations(*np.split(values, [4, 4 + joints])), inflation=inflation)
+    return replace(solution, model=model)
