@@ -77,7 +77,6 @@ def linearised(arm: ArmSession, common: CommonErrors) -> FrameFits:
     """
     known, blocks = arm.calibration.values, arm.calibration.seen
     values = {one.name: one.start if one.is_linear else known[one.name] for one in blocks}
-    at = Posed.stacked(fit.at for fit in arm.fits) if arm.moved is None else arm.moved
     tasks = list[tuple[StoredFrame, int, ViewAsSeen, Posed, tuple[SeenBlock, ...]]]()
     for k, (stored, number) in enumerate(zip(arm.stored, arm.shown, strict=True)):
         if number is not None:
@@ -85,11 +84,11 @@ def linearised(arm: ArmSession, common: CommonErrors) -> FrameFits:
             by = ViewAsSeen(view.evidence.camera, view.view_from_camera, 0.0)
             for block in blocks:
                 by = block.seen(by, values[block.name])
-            tasks.append((stored, number, by, at[k], blocks))
+            tasks.append((stored, number, by, arm.at[k], blocks))
     found = iter(arm.setup.run(outline_task, tasks))
-    size = 6 + at.joints.shape[1] + sum(len(block) for block in values.values())
+    size = 6 + arm.at.joints.shape[1] + sum(len(block) for block in values.values())
     terms = [Quadratic.zero(1, size) if view is None else next(found) for view in arm.shown]
-    return FrameFits.sharing(at, Quadratic.joined(terms), common, values)
+    return FrameFits(arm.at, Quadratic.joined(terms), common, values)
 
 
 def plausible(arms: Sequence[Solved]) -> bool:
@@ -129,6 +128,6 @@ def linearise(arms: Arms, *, passes: int = PASSES, first: Sequence[FrameFits] | 
         last = solve_with_variances(frames, arms[0].setup.config.session, steps=_STEPS)
         if all(map(_settled, last)) or not plausible(last):
             break
-        arms = [arm.at(one.calibration, model=one.model, moved=one.at) for arm, one in zip(arms, last, strict=True)]
+        arms = [arm.with_solution(one, moved=one.at) for arm, one in zip(arms, last, strict=True)]
         fits = None
     return last

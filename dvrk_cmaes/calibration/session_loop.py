@@ -168,7 +168,7 @@ def _with_common_endoscope(arms: Arms) -> Arms:
             out.append(arm.noted(remarks=[_OTHER_TIP]) if read else arm)
             continue
         endoscope = replace(endoscope, start=known.start, loose=known.loose, shared=True)
-        arm = arm.at(arm.calibration.with_blocks(endoscope.block, endoscope=own))
+        arm = arm.with_calibration(arm.calibration.with_blocks(endoscope.block, endoscope=own))
         out.append(replace(arm, model=replace(arm.model, endoscope=endoscope)))
     return out
 
@@ -202,7 +202,7 @@ def solved(arms: Arms) -> Arms:
     for arm, own in zip(arms, found, strict=True):
         pairs = zip(arm.fits, arm.model.priors(own.calibration), strict=True)
         fits = tuple(fit.moved_to(prior) if fit.step_to(prior) < _NEAR else fit for fit, prior in pairs)
-        out.append(replace(arm, fits=fits, found=own))
+        out.append(arm.with_solution(own, fits=fits))
     return out
 
 
@@ -223,7 +223,7 @@ def _fitted(arm: ArmSession, scale: float, *, last: bool) -> ArmSession:
     before: list[tuple[Posed, ...]]
     if arm.fits:
         agrees = [clear and fit.explains_mask for clear, fit in zip(agrees, arm.fits, strict=True)]
-        before = [(fit.at if arm.moved is None else arm.moved[i],) for i, fit in enumerate(arm.fits)]
+        before = [(arm.at[k],) for k in range(len(arm.frames))]
     else:
         chosen = choose_modes(arm.model, arm.modes, arm.calibration)
         pairs = zip(agrees, chosen, arm.modes, strict=True)
@@ -235,7 +235,7 @@ def _fitted(arm: ArmSession, scale: float, *, last: bool) -> ArmSession:
     tasks = [(arm.stored[i], expected[i], starts[i], arm.change, arm.taken_off) for i in again]
     found = {i: fit.moved_to(expected[i]) if last else fit for i, fit in enumerate(arm.fits)}
     found |= zip(again, arm.setup.run(fit_task, tasks), strict=True)
-    return replace(arm, fits=tuple(found[i] for i in range(len(arm.frames))))
+    return replace(arm, fits=tuple(found[i] for i in range(len(arm.frames))), moved=None)
 
 
 def _estimated(arms: Arms, *, keep_all: bool, last: bool) -> Arms:
@@ -249,12 +249,12 @@ def _estimated(arms: Arms, *, keep_all: bool, last: bool) -> Arms:
             arm.check_agreement()
     config = arms[0].setup.config.session
     solved = solve_with_variances([arm.outlines(keep_all=keep_all) for arm in arms], config)
-    arms = [replace(arm, model=own.model, found=own, moved=None) for arm, own in zip(arms, solved, strict=True)]
+    arms = [arm.with_solution(own) for arm, own in zip(arms, solved, strict=True)]
     if not keep_all and config.cables:
         arms = [_with_cables(arm, last=last) for arm in arms]
         if any(arm.cables is not None and arm.cables[0].parts for arm in arms):
             solved = solve_with_variances([replace(arm.solution, model=arm.model) for arm in arms], config)
-            arms = [replace(arm, model=own.model, found=own) for arm, own in zip(arms, solved, strict=True)]
+            arms = [arm.with_solution(own) for arm, own in zip(arms, solved, strict=True)]
     return arms
 
 
@@ -287,7 +287,7 @@ def _with_seen(arms: Arms, *, last: bool) -> Arms:
             found, _ = margin.stated(*estimates[0].shown_of(margin))
             own = replace(own, calibration=own.with_std({CAMERA: _HELD * camera.known})[0])
             arm = replace(arm, margin=found)
-        out.append(arm.at(own.calibration.alone(), moved=own.at))
+        out.append(arm.with_calibration(own.calibration.alone(), moved=own.at))
     return out
 
 

@@ -27,6 +27,7 @@ from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.doubts import DISAGREES, frame_disagrees
+from dvrk_cmaes.pose.terms.term import Quadratic
 
 LEAST_FRAMES = 3
 """Smallest number of frames from which an arm can be calibrated."""
@@ -133,7 +134,16 @@ class ArmSession:
         """The current calibration."""
         return self.solution.calibration
 
-    def at(self, calibration: Calibration, **changes: Any) -> ArmSession:
+    @property
+    def at(self) -> Posed:
+        """The current poses (N) of the frames."""
+        return Posed.stacked(fit.at for fit in self.fits) if self.moved is None else self.moved
+
+    def with_solution(self, found: Solved, **changes: Any) -> ArmSession:
+        """Return the arm with a solution and its model, and other changes."""
+        return replace(self, model=found.model, found=found, **changes)
+
+    def with_calibration(self, calibration: Calibration, **changes: Any) -> ArmSession:
         """Return the arm with another calibration, and other changes."""
         return replace(self, found=replace(self.solution, calibration=calibration), **changes)
 
@@ -182,7 +192,8 @@ class ArmSession:
     def outlines(self, *, keep_all: bool = False) -> ArmFrames:
         """Return the current fits; without the outlines that do not explain the mask, unless ``keep_all``."""
         fits = [fit if fit.explains_mask or keep_all else fit.without_outline() for fit in self.fits]
-        return ArmFrames(self.model, FrameFits.of(fits, self.common), self.calibration)
+        outlines = Quadratic(np.array([fit.information for fit in fits]), np.array([fit.slope for fit in fits]))
+        return ArmFrames(self.model, FrameFits(self.at, outlines, self.common), self.calibration)
 
     @property
     def shown(self) -> list[int | None]:
@@ -210,7 +221,7 @@ class ArmSession:
             MaskMargin(camera.pixel_scale, self.taken_off, used=self.change is None),
             *(make(config, self.setup.instrument, camera) for make in tested),
         )
-        return self.at(self.calibration.with_blocks(*blocks))
+        return self.with_calibration(self.calibration.with_blocks(*blocks))
 
     @property
     def disagreements(self) -> list[str]:

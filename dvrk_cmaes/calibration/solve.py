@@ -22,7 +22,6 @@ import numpy as np
 
 from dvrk_cmaes.calibration.blocks import Calibration, SeenBlock
 from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Mode, choose_modes
-from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.model import CommonErrors, Deviations, SessionModel, frames_alike
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import Bool, Float64, Indices, Posed
@@ -49,15 +48,12 @@ class FrameFits:
 
     ``at`` are the N points of expansion. ``outlines`` (N, D + E) are the approximations for changes from there, D = 6 +
     J, and for changes of E further unknowns from the values of their blocks, ``seen``; most often there are none. The
-    slope is zero at an outline's own optimum. ``by_lag`` (N, D) are the changes of what is predicted by one standard
-    deviation of the lag between images and readings. ``shares`` (N,) are the shares of one frame as which each counts,
-    because others err like it.
+    slope is zero at an outline's own optimum. ``common`` are the errors that the frames share.
     """
 
     at: Posed
     outlines: Quadratic
-    by_lag: Float64
-    shares: Float64
+    common: CommonErrors
     seen: Mapping[str, Float64] = field(default_factory=dict)
 
     @classmethod
@@ -65,20 +61,14 @@ class FrameFits:
         """Take one mode of each frame as a fit with zero slope and the inverse of the mode's covariance."""
         information = np.linalg.inv(np.array([mode.covariance for mode in modes]))
         none = np.zeros(information.shape[:2])
-        return cls(Posed.stacked(mode.at for mode in modes), Quadratic(information, none), none, np.ones(len(modes)))
+        common = CommonErrors(np.full(len(modes), np.nan), none)
+        return cls(Posed.stacked(mode.at for mode in modes), Quadratic(information, none), common)
 
-    @classmethod
-    def of(cls, fits: Sequence[FrameFit], common: CommonErrors) -> FrameFits:
-        """Stack the fits of single frames, with the errors that they share."""
-        outlines = Quadratic(np.array([fit.information for fit in fits]), np.array([fit.slope for fit in fits]))
-        return cls.sharing(Posed.stacked(fit.at for fit in fits), outlines, common, {})
-
-    @classmethod
-    def sharing(cls, at: Posed, outlines: Quadratic, common: CommonErrors, seen: Mapping[str, Float64]) -> FrameFits:
-        """Return the outlines of N frames with the errors that these share; ``seen`` as above."""
-        counted = outlines.information.any(axis=(1, 2))  # those without an outline do not count as others near a frame
-        shares = 1 / frames_alike(np.where(counted, common.times, np.nan), common.alike_seconds)
-        return cls(at, outlines, common.by_lag, shares, seen)
+    @cached_property
+    def shares(self) -> Float64:
+        """Shares (N,) of one frame as which each counts, because others err like it."""
+        counted = self.outlines.information.any(axis=(1, 2))  # others without an outline do not count
+        return 1 / frames_alike(np.where(counted, self.common.times, np.nan), self.common.alike_seconds)
 
     @property
     def further(self) -> Float64:
@@ -311,7 +301,7 @@ def solution_at(arms: Sequence[ArmFrames]) -> list[Solved]:
         independent[both] += np.einsum("n,nij->ij", fits.shares, of_frames)
         gradient[place] += slopes.sum(axis=0)
         by_pose = weighted @ frames.left.information[:, :, : frames.expected.shape[1]]
-        by_lag[place] += times(by_pose, fits.by_lag).sum(axis=0)
+        by_lag[place] += times(by_pose, fits.common.by_lag).sum(axis=0)
         for number, part in enumerate(np.array_split(slopes, min(_PARTS, len(slopes)))):
             parts[number, place] += part.sum(axis=0)
         found.append(partial(Solved, model, fits, calibration, weights, misfit, of_frames, slopes))
