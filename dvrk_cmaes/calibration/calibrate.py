@@ -119,8 +119,7 @@ def calibrate_session(
     """
     for frame in frames:
         check_type("frames", frame, SessionFrame, "SessionFrames")
-    settings = EstimateConfig() if config is None else config
-    body = instrument if isinstance(instrument, Body) else prepare(instrument)
+    settings, body = config or EstimateConfig(), instrument if isinstance(instrument, Body) else prepare(instrument)
     run = run or partial(in_threads, body, settings)
     setup = ArmSetup(series, body.instrument, arm, settings, run, progress, refine_camera, lag=lag)
     return solved_alone(begin_arm(frames, setup))[0]
@@ -302,10 +301,10 @@ def reported(arm: ArmSession) -> tuple[list[FrameReport], dict[str, str]]:
     reasons = {**arm.left_out, **{frame.name: text for frame, text in named if text}}
     covariances = _covariances(arm)
     bases, tasks = model.base_from_root(arm.calibration.offsets), []
-    for i, (frame, result, disagreement) in enumerate(zip(arm.frames, _results(arm), disagreements, strict=True)):
+    for i, (frame, disagreement) in enumerate(zip(arm.frames, disagreements, strict=True)):
         task = ReportTask(
             arm.stored[i],
-            result if disagreement or frame.brief else replace(result, config=arm.stated_settings),
+            frame.result if disagreement or frame.brief else replace(frame.result, config=arm.stated_settings),
             arm.fits[i],
             covariances[i],
             model.subset([i]).predict(leave_one_out(solution, i))[0],
@@ -330,15 +329,6 @@ def _covariances(arm: ArmSession) -> Float64:
     own = times(frames.covariance, by_margin)
     of_margin = covariance_of_margin(arm.checked.blocks.get(MARGIN), own, moved, new=0.0)
     return np.asarray(frames.covariance + moved @ solution.covariance @ np.swapaxes(moved, 1, 2) + of_margin)
-
-
-def _results(arm: ArmSession) -> list[Result]:
-    """Return the frames' own results; with the readings less the lag, if one is taken out."""
-    results, lag, series = [frame.result for frame in arm.frames], arm.lag.applied, arm.lag.series
-    if lag is None or series is None:
-        return results
-    names = [frame.name for frame in arm.frames]
-    return [replace(own, readings=series.of_frame(name, lag)) for name, own in zip(names, results, strict=True)]
 
 
 def _describe_slips(model: SessionModel, i: int, config: SessionConfig) -> list[str]:

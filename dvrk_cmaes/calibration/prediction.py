@@ -116,32 +116,17 @@ class Prediction:
             Where an endoscope that moves is in the images, as of `SessionEndoscope.in_frames`.
         """
         model, own = calibration.model(outer, joints, joint_names, endoscope)
-        at, prior, jacobian = model.predict(own), model.covariance(own), model.jacobian(own)
         outer_read = np.ones(len(outer), np.bool_) if outer_read is None else outer_read
-        covariance = calibration.whole_covariance
+        covariance, jacobian = calibration.whole_covariance, model.jacobian(own)
         jacobian = np.pad(jacobian, ((0, 0), (0, 0), (0, len(covariance) - jacobian.shape[2])))
+        factor = np.append(np.ones(ROLL), np.full(1 + len(joint_names), wrist))
+        prior = model.covariance(own)
         wide = np.diag([_UNREAD_M**2] * 3 + [_UNREAD_RAD**2] * (3 + len(joint_names)))
         prior[~(outer_read if moving is None else outer_read & moving)] += wide
-        by_readings = model.by_readings(own)
-        if late is not None:
-            of_lag = times(by_readings, np.nan_to_num(late))
-            prior += of_lag[:, :, None] * of_lag[:, None, :]
-        if errors is not None:
-            off = by_readings[:, :, :4] * np.where(errors > LEAST_ERROR, errors, 0.0)[:, None, :]
-            prior += off @ off.swapaxes(1, 2)
-        factor = np.ones(prior.shape[-1])
-        factor[ROLL:] = wrist
-        shared = jacobian @ covariance @ jacobian.swapaxes(1, 2)
-        return cls(
-            at,
-            prior * np.outer(factor, factor),
-            shared * np.outer(factor, factor),
-            jacobian,
-            model.base_from_root(own.offsets),
-            joints,
-            own.offsets[1] + model.correction.values[:, 0],
-            outer_read,
-        )
+        prior = _with_readings(prior, model.by_readings(own), late, errors) * np.outer(factor, factor)
+        of_roll, base_from_root = own.offsets[1] + model.correction.values[:, 0], model.base_from_root(own.offsets)
+        shared = jacobian @ covariance @ jacobian.swapaxes(1, 2) * np.outer(factor, factor)
+        return cls(model.predict(own), prior, shared, jacobian, base_from_root, joints, of_roll, outer_read)
 
     def without_calibration(self) -> Prediction:
         """Return the same with the calibration's errors among the images' own deviations."""
@@ -166,6 +151,17 @@ class Prediction:
             if not np.isnan(read):
                 found[name] = value - read
         return found
+
+
+def _with_readings(prior: Float64, by_readings: Float64, late: Float64 | None, errors: Float64 | None) -> Float64:
+    """Return covariances (N, D, D) with errors of the readings, whose effects are (N, D, 4 + J), as of `Prediction`."""
+    if late is not None:
+        of_lag = times(by_readings, np.nan_to_num(late))
+        prior = prior + of_lag[:, :, None] * of_lag[:, None, :]
+    if errors is not None:
+        off = by_readings[:, :, :4] * np.where(errors > LEAST_ERROR, errors, 0.0)[:, None, :]
+        prior = prior + off @ off.swapaxes(1, 2)
+    return prior
 
 
 class FoundLag(NamedTuple):
@@ -226,15 +222,23 @@ def fit_session_pose(
     InputError
         The session is of an instrument with other joints.
     """
-    placed = session.at(given, frame=frame, time=time)
-    if isinstance(placed, str):
-        return f"session: {placed}: searched without it"
-    session, instrument = placed, views[0].renderer.body.instrument
-    outer = outer_readings([given])
+    placed, outer = session.at(given, frame=frame, time=time), outer_readings([given])
     missing = [name for name, value in zip(OUTER_JOINTS, outer[0], strict=True) if np.isnan(value)]
-    if missing:
-        return f"session: no reading of {', '.join(missing)}: searched without it"
-    predicted = Prediction.of(session, outer, readings.values[None], instrument.joint_names)
+    if isinstance(placed, str) or missing:
+        lacking = placed if isinstance(placed, str) else f"no reading of {', '.join(missing)}"
+        return f"session: {lacking}: searched without it"
+    predicted = Prediction.of(placed, outer, readings.values[None], views[0].renderer.body.instrument.joint_names)
+    return _refined(placed, views, readings, predicted, config)
+
+
+def _refined(
+    session: SessionCalibration,
+    views: Sequence[FrameView],
+    readings: Readings,
+    predicted: Prediction,
+    config: EstimateConfig,
+) -> FoundPose | str:
+    """Refine what a calibration predicts of a frame; arguments and result as of `fit_session_pose`."""
     expected = Expected.of(predicted.at[0], predicted.spread[0])
     refined = partial(fit_frame, views, config, expected, margin=session.margin_px)
     first, _ = refined((predicted.at[0],), None)
@@ -245,7 +249,7 @@ def fit_session_pose(
     deviation = fit.at.minus(expected.mean)
     misfit = float(deviation @ expected.information @ deviation) / len(deviation)
     usual = session.iou, session.contour_px_95
-    camera = views[0].evidence.camera
+    camera, instrument = views[0].evidence.camera, views[0].renderer.body.instrument
     if doubts := doubts_of_agreement("solved", misfit, config.session, quality, usual, camera.pixel_scale):
         return f"session: {'; '.join(doubts)}: searched anew"
     fitted = _covariance(fit, expected, session, predicted)

@@ -133,8 +133,8 @@ def initialised(arm: ArmSession, *, may_cut: bool = True) -> ArmSession:
 
 def _less_lag(arm: ArmSession) -> ArmSession:
     """Correct the readings by the lag if it differs from zero; frames without readings then are left out."""
-    applied = arm.lag.applied
-    if applied is None:
+    applied, series = arm.lag.applied, arm.lag.series
+    if applied is None or series is None:
         return arm
     has = arm.lag.has_readings(arm.lag.value)
     left_out = {frame.name: NO_READINGS_AT_LAG for frame, own in zip(arm.frames, has, strict=True) if not own}
@@ -144,7 +144,9 @@ def _less_lag(arm: ArmSession) -> ArmSession:
             f"session: {applied.describe()}, which leaves {len(arm.frames)} frames with readings; "
             f"expected at least {LEAST_FRAMES}"
         )
-    return replace(arm, model=arm.lag.model_at(arm.model, arm.lag.value))
+    read = [replace(one.result, readings=series.of_frame(one.name, applied)) for one in arm.frames]
+    frames = tuple(replace(one, result=own) for one, own in zip(arm.frames, read, strict=True))
+    return replace(arm, frames=frames, model=arm.lag.model_at(arm.model, arm.lag.value))
 
 
 def _with_common_endoscope(arms: Arms) -> Arms:
