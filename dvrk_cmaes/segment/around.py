@@ -173,14 +173,16 @@ def segmentation_around(
     colours: Float32 | None = None,
     local: bool = True,
     free: float | Float32 = FREE,
+    finest: int = FINEST,
 ) -> Segmentation:
     """Segment an image (H, W, 3) uint8 BGR around a silhouette (H, W), as `mask_around`, and assess the mask.
 
     A ``rough`` silhouette is a mask that was found at a reduced size, and is a shaft's with straight sides: it is first
     refined, at half the size if the image is large. ``colours`` are of any size; without ``local`` they count alone.
-    ``free`` is as there, of the size at which the mask is found, where the silhouette is not rough.
+    ``free`` is as there, of the size at which the mask is found, where the silhouette is not rough; that is at most
+    ``finest`` px.
     """
-    longest, expected = min(max(silhouette.shape), FINEST), silhouette
+    longest, expected = min(max(silhouette.shape), finest), silhouette
     steps: list[tuple[int, float | Float32, int]] = [(longest, free, _PASSES)]
     if rough:
         half = longest // 2 if longest // 2 >= _COARSEST else longest

@@ -37,7 +37,8 @@ _NEAR_PROMPT: Final = 1.5  # widths of the shaft from its axis to a point on the
 _STEP: Final = 8.0  # px along an axis
 _MOST_STEPS: Final = 24
 _TRIED: Final = 200  # points along an axis, that are compared with prompts
-_OF_AXIS: Final = 3  # best places along an axis, each way, that are turned and bent; others are two steps away or more
+_OF_AXIS: Final = 3  # best places along an axis, each way, that are two steps apart or more, and
+_BENT: Final = 80  # best ones of all these, that are turned and bent
 _FIRST_BENDS: Final = np.deg2rad([(0, 0), (50, 0)])  # there, without readings
 _FIRST_ROLLS: Final = 4, 8  # there, without and with readings of the wrist
 _GROUPS: Final = 5  # of places, each an instrument
@@ -47,7 +48,8 @@ _JAW: Final = 0.5  # rad, where none is read
 _BENDS: Final = np.deg2rad([(0, 0), (45, 0), (-45, 0), (0, 45), (0, -45), (35, 35), (-35, 35), (0, 75), (0, -75)])
 """Wrist pitch and yaw that are tried without readings."""
 _STARTS: Final = 4, 2  # places of a group, and turns of each, at most
-_BEGUN: Final = 6  # of these, that are optimised, once they are at their best distance and tilt
+_BEGUN: Final = 6  # of these, that are optimised, once they are at their best distance and tilt,
+_BEHIND: Final = 0.6  # unless their score is less than the best one's by this
 _INSTRUMENTS: Final = 3  # that are looked at further
 _MOST: Final = 4  # that are returned
 _ENDS: Final = 4, 2  # of each, that are optimised further, twice
@@ -146,18 +148,21 @@ def find_instruments(
     def turns(counts: tuple[int, int], bends: Float64) -> Posed:
         return _turns(counts[not bent], read, jaw, instrument.joint_names, bends if bent else np.zeros((1, 2)))
 
-    tried = tried[_best_along(axes, scored)]
+    best = np.array(_best_along(axes, scored))
+    tried = tried[best[_ordered(scored[best])[:_BENT]]]
     bends = _turned(tried.pose, turns(_FIRST_ROLLS, _FIRST_BENDS))
     scored = ranked.scores(bends).total.reshape(len(tried), -1).max(axis=1)
     renderer = Renderer(meshes[1], coarse, threads=1)
     every = turns(_ROLLS, _BENDS)
     masks, apart = renderer.masks(tried.pose, tried.joints), _Apart(tried, coarse, 5.0)
-    begin = []
+    begin: list[Posed] = []
     for group in _grouped(masks, scored, _GROUPS, _TURNED // len(every.pose), apart):
+        if begin and scored[group[0]] < usual:
+            break
         at = _turned(tried.pose[group], every)
         starts = _starts(at, ranked.scores(at).total, len(every), coarse)
         varied, own = _best_of_each(appearance, [_varied(at[[k]]) for k in starts])
-        begin.append(varied[_ordered(own)[:_BEGUN]])
+        begin.append(varied[[k for k in _ordered(own)[:_BEGUN] if own[k] > own.max() - _BEHIND]])
     if not begin:
         return []
     at = _joined(begin)

@@ -28,6 +28,7 @@ from dvrk_cmaes.segment.shaft_pairs import pair_of_mask
 from dvrk_cmaes.silhouette import Body, Renderer
 
 _SIZE: Final = 480  # px, longer side at which masks are cut
+_FURTHER: Final = 500  # px, longer side at most at which those of further instruments are moved to edges
 _FREE: Final = 0.1, 0.7  # widths of the shaft from the shaft, and from wrist and jaws, beyond which there is a prior
 _FREE_INSIDE: Final = 0.15  # widths from the outline of wrist and jaws, within it, likewise
 _FREE_BEFORE: Final = 0.1, 0.25  # likewise, before a background that is known
@@ -139,7 +140,7 @@ def segment_by_model(
     shown = sure and foreground is None and any(_overlap(each, roughly.mask) > SAME - _ROUGHLY for each in found)
     other = by_colours() if shown else None
 
-    def mask_of(each: Candidate) -> Segmentation:
+    def mask_of(each: Candidate, finest: int) -> Segmentation:
         """Return a candidate's mask without the pixels of others, whose colours may be this one's, too."""
         others = [one.silhouette & ~each.silhouette for one in likely if one is not each]
         others_pixels = resized(np.any([np.zeros_like(each.silhouette), *others], axis=0), image.shape[1::-1])
@@ -149,12 +150,12 @@ def segment_by_model(
             if same.confidence > each.confidence:  # its own mask would be no surer than the candidate
                 return same
         without = prompts.with_outside(prompts.outside | others_pixels)
-        own = mask_of_candidate(image, each, body, camera, without, foreground)
+        own = mask_of_candidate(image, each, body, camera, without, foreground, finest)
         return same if own.mask.any() and same is not None and same.confidence > own.confidence else own
 
     masks, taken = list[Segmentation](), np.zeros_like(prompts.outside)
     for each in found if not prompts.given else found[:1]:
-        mask = mask_of(each)
+        mask = mask_of(each, FINEST if all(one.confidence < GUESS for one in masks) else _FURTHER)
         if mask.mask.any() and (mask.mask & taken).sum() <= _SHARED * mask.mask.sum():
             masks.append(replace(mask, mask=mask.mask & ~taken) if taken.any() else mask)
             taken = taken | mask.mask
@@ -174,9 +175,18 @@ def _overlap(found: Candidate, mask: Bool) -> float:
 
 
 def mask_of_candidate(
-    image: Image, found: Candidate, body: Body, camera: Camera, prompts: Prompts, foreground: Float32 | None = None
+    image: Image,
+    found: Candidate,
+    body: Body,
+    camera: Camera,
+    prompts: Prompts,
+    foreground: Float32 | None = None,
+    finest: int = FINEST,
 ) -> Segmentation:
-    """Return the mask of a candidate in an image (H, W, 3), with its confidence; empty if it is not in the picture."""
+    """Return the mask of a candidate in an image (H, W, 3), with its confidence; empty if it is not in the picture.
+
+    Without a ``foreground``, its outline is moved to the edges of the image at up to ``finest`` px.
+    """
     instrument = body.instrument
     assert instrument.shaft is not None
     size, scale = size_within(image.shape, _SIZE if foreground is None else FINEST)
@@ -191,7 +201,7 @@ def mask_of_candidate(
         rough, odds = _rough_mask(shrunk(image, _SIZE), shaft, whole, across, prompts.resized(*size, scale))
         known = np.where(distance_to(~rough) > _DEEP, _KNOWN[1], _KNOWN[0]).astype(np.float32) * odds
         rough = resized(rough, (image.shape[1], image.shape[0]))
-        mask = segmentation_around(image, rough, prompts, rough=True, colours=known)
+        mask = segmentation_around(image, rough, prompts, rough=True, colours=known, finest=finest)
     else:
         at_shaft = distance_to(whole & ~shaft) > distance_to(shaft) + 1
         free = np.where(at_shaft, *_FREE_BEFORE).astype(np.float32) * np.float32(across)

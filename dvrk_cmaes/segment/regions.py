@@ -44,7 +44,7 @@ def resized(flags: Bool, size: tuple[int, int]) -> Bool:
     if size == flags.shape[1::-1]:
         return flags
     how = cv2.INTER_AREA if size[0] < flags.shape[1] else cv2.INTER_LINEAR
-    return np.asarray(cv2.resize(flags.astype(np.float32), size, interpolation=how) > 0.5)
+    return np.asarray(cv2.resize(flags.view(np.uint8) * np.uint8(254), size, interpolation=how) > 127)
 
 
 def meets_border(mask: Bool, outside: Bool) -> bool:

@@ -64,11 +64,10 @@ def find_pairs(image: Image, camera: Camera, radius: float, outside: Bool, most:
     segments = camera.normalise(segments) * focal + centre
     lines = _joined(segments, _NEAR * max(image.shape))
     limits = np.array([camera.width - 1, camera.height - 1])
+    along = np.array([line.direction for line in lines])
+    parallel = np.argwhere(np.tril(np.abs(along @ along.T) >= _PARALLEL, -1)).tolist()
     pairs = [
-        (pair, (i, j))
-        for i in range(len(lines))
-        for j in range(i)
-        if (pair := _pair(lines[i], lines[j], camera, radius, limits)) is not None
+        (pair, (i, j)) for i, j in parallel if (pair := _pair(lines[i], lines[j], camera, radius, limits)) is not None
     ]
     pairs.sort(key=lambda each: -each[0].support)
     kept: list[Pair] = []
