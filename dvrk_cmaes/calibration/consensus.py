@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -35,17 +36,35 @@ _OUTLIER_STD = np.array([0.02, 0.02, 0.02, _OUTLIER_ANGLE, _OUTLIER_ANGLE, 2 * _
 
 
 @dataclass(frozen=True, eq=False)
-class Mode:
-    """A mode of a frame's pose, with the covariance (D, D) of its small changes, D = 6 + J."""
+class ArmModes:
+    """N frames of an arm, each estimated by itself: the ``model`` of their readings, and the modes of their poses.
 
-    at: Posed
-    covariance: Float64
+    ``modes`` (N, M) are each frame's pose and its alternatives, ``counts`` (N,) their numbers. The last one of a frame
+    with fewer than M is repeated, which changes neither the minimum over the frame's modes nor the first index at which
+    it is reached. ``covariances`` (N, D, D), D = 6 + J, are of small changes of any of them.
+    """
+
+    model: SessionModel
+    modes: Posed
+    counts: Indices
+    covariances: Float64
 
     @classmethod
-    def all_of(cls, result: Result, joint_names: Sequence[str]) -> list[Mode]:
-        """Return the modes of a frame's own result: its pose and its alternatives, all with the pose's covariance."""
-        assert result.covariance is not None
-        return [cls(at, result.covariance) for at in modes_of(result, joint_names)]
+    def of_results(cls, model: SessionModel, results: Sequence[Result]) -> ArmModes:
+        """Return the frames by their own results: the modes are each pose with its alternatives."""
+        every = [modes_of(result, model.names) for result in results]
+        counts = np.array([len(own) for own in every])
+        padded = [Posed.stacked(own + own[-1:] * (max(counts) - len(own))) for own in every]
+        return cls(model, Posed.stacked(padded), counts, np.array([result.covariance for result in results]))
+
+    def subset(self, index: Sequence[int] | Indices) -> Self:
+        """Return the frames at some indices."""
+        own = {name: getattr(self, name)[index] for name in ("modes", "counts", "covariances")}
+        return replace(self, model=self.model.subset(index), **own)
+
+    def mode(self, frames: Indices, numbers: Indices) -> Posed:
+        """Return modes (K) by the frames' indices (K,), and the modes' numbers (K,)."""
+        return Posed(self.modes.pose[frames, numbers], self.modes.joints[frames, numbers])
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +98,7 @@ def evenly_spaced(count: int, most: int) -> Indices:
 
 
 def find_consensus(
-    model: SessionModel,
-    modes: Sequence[Sequence[Mode]],
+    arm: ArmModes,
     *,
     hypothesis_frames: int = _MAX_HYPOTHESIS_FRAMES,
     test_frames: int = _MAX_TEST_FRAMES,
@@ -90,74 +108,52 @@ def find_consensus(
 
     Parameters
     ----------
-    model
-        The model of N frames.
-    modes
-        The modes of each frame, at least one, the most likely first.
+    arm
+        The frames.
     hypothesis_frames, test_frames
         Largest numbers of frames whose modes are used as hypotheses, and on which each hypothesis is scored.
     roll
         Offset of roll of all hypotheses, rad.
     """
-    proposing = evenly_spaced(len(modes), hypothesis_frames).tolist()
-    tested = evenly_spaced(len(modes), test_frames)
-    hypotheses = _Hypotheses(model, modes, roll)
-    candidates = np.array([(frame, k) for frame in proposing for k in range(len(modes[frame]))])
+    proposing = evenly_spaced(len(arm.counts), hypothesis_frames).tolist()
+    tested = evenly_spaced(len(arm.counts), test_frames)
+    hypotheses = _Hypotheses(arm, roll)
+    candidates = np.array([(frame, k) for frame in proposing for k in range(arm.counts[frame])])
     best = int(np.argmin(hypotheses.costs(candidates, tested)))
-    return hypotheses.consensus(candidates[best], np.arange(len(modes)))
+    return hypotheses.consensus(candidates[best], np.arange(len(arm.counts)))
 
 
-def agreement(model: SessionModel, modes: Sequence[Sequence[Mode]], calibration: Calibration) -> Consensus:
-    """Return what N frames say of a calibration, whose errors are not counted; arguments as in `find_consensus`."""
-    return _Hypotheses(model, modes, float(calibration.offsets[1])).against(calibration)
+def agreement(arm: ArmModes, calibration: Calibration) -> Consensus:
+    """Return what the frames of an arm say of a calibration, whose errors are not counted."""
+    return _Hypotheses(arm, float(calibration.offsets[1])).against(calibration)
 
 
-def find_consensus_at_any_roll(model: SessionModel, modes: Sequence[Sequence[Mode]]) -> Consensus:
+def find_consensus_at_any_roll(arm: ArmModes) -> Consensus:
     """Find the calibration on which most frames agree, at the usual offset of roll or at any.
 
     A tool that was not homed, or readings of another roll joint, turn all frames about their shafts. Where fewer than
     half of the frames agree, they need to agree on the remote centre and on the shafts' directions only: offsets of
     roll are tried all round, each frame's roll with a wide standard deviation.
-
-    Parameters
-    ----------
-    model, modes
-        As in `find_consensus`.
     """
-    usual = find_consensus(model, modes)
+    usual, model = find_consensus(arm), arm.model
     if usual.agree.mean() >= _ENOUGH:
         return usual
     wide = model.offset_std.copy()
     wide[1] = _ROLL_STEP
-    loose = replace(model, offset_std=wide)
+    loose = replace(arm, model=replace(model, offset_std=wide))
     few = {"hypothesis_frames": _MAX_ROLLED_FRAMES, "test_frames": _MAX_ROLLED_FRAMES}
-    tried = [find_consensus(loose, modes, roll=roll, **few) for roll in _ROLLS]
+    tried = [find_consensus(loose, roll=roll, **few) for roll in _ROLLS]
     best = min(tried, key=lambda one: float(one.cost.sum()))
     if best.agree.sum() <= usual.agree.sum():
         return usual
     return replace(best, calibration=model.calibration(best.calibration.camera_from_base, best.calibration.offsets))
 
 
-def choose_modes(model: SessionModel, modes: Sequence[Sequence[Mode]], calibration: Calibration) -> list[Mode]:
-    """Choose the mode of each of N frames with the least Mahalanobis distance from a calibration's prediction."""
-    at, own_covariance = _stacked(modes)
-    changes = at.minus(_for_each_mode(model.predict(calibration)))
-    squares, _ = _distances(changes, model.covariance(calibration)[:, None] + own_covariance)
-    return [of_frame[best] for of_frame, best in zip(modes, squares.argmin(axis=1), strict=True)]
-
-
-def _stacked(modes: Sequence[Sequence[Mode]]) -> tuple[Posed, Float64]:
-    """Return the modes (N, M) of N frames, at most M each, and their covariances (N, M, D, D).
-
-    The last mode of a frame with fewer is repeated, which changes neither the minimum over the frame's modes nor the
-    first index at which it is reached.
-    """
-    most = max(len(of_frame) for of_frame in modes)
-    padded = [list(of_frame) + [of_frame[-1]] * (most - len(of_frame)) for of_frame in modes]
-    return (
-        Posed.stacked(Posed.stacked(mode.at for mode in of_frame) for of_frame in padded),
-        np.array([[mode.covariance for mode in of_frame] for of_frame in padded]),
-    )
+def choose_modes(arm: ArmModes, calibration: Calibration) -> Indices:
+    """Return the number (N,) of each frame's mode with the least Mahalanobis distance from a prediction."""
+    changes = arm.modes.minus(_for_each_mode(arm.model.predict(calibration)))
+    squares, _ = _distances(changes, (arm.model.covariance(calibration) + arm.covariances)[:, None])
+    return np.asarray(squares.argmin(axis=1))
 
 
 def _for_each_mode(at: Posed) -> Posed:
@@ -179,9 +175,8 @@ def _distances(changes: Float64, covariance: Float64) -> tuple[Float64, Float64]
 class _Hypotheses:
     """Calibrations that are made from single modes, and what other frames say of them."""
 
-    def __init__(self, model: SessionModel, modes: Sequence[Sequence[Mode]], roll: float) -> None:
-        self._model = model
-        self._at, self._covariance = _stacked(modes)
+    def __init__(self, arm: ArmModes, roll: float) -> None:
+        self._arm, self._model = arm, (model := arm.model)
         # All hypotheses have the same offsets of insertion and roll, so the kinematics and their errors are the same.
         self._offsets = np.zeros(len(model.offset_std))
         self._offsets[1] = roll
@@ -198,15 +193,14 @@ class _Hypotheses:
         ``sources`` (H, 2) are the numbers of a frame and of its mode. The offsets of insertion and roll are the same
         for all; joints without a reading have an offset of zero, too.
         """
-        frame, k = sources.T
-        at = Posed(self._at.pose[frame, k], self._at.joints[frame, k])
+        frame, at = sources[:, 0], self._arm.mode(*sources.T)
         offsets = np.tile(self._offsets, (len(sources), 1))
         offsets[:, 2:] = np.nan_to_num(at.joints - self._model.joints[frame])
         return inverse(self._relative[frame]) @ at.pose @ self._root_from_base[frame], offsets
 
     def costs(self, sources: Indices, test_frames: Indices) -> Float64:
         """Return the sums (H,) of the costs of test frames (V,) by the calibrations from ``sources`` (H, 2)."""
-        at_once = max(1, MOST_AT_ONCE // (len(test_frames) * self._covariance.shape[1]))
+        at_once = max(1, MOST_AT_ONCE // (len(test_frames) * self._arm.modes.pose.shape[1]))
         parts = (sources[first : first + at_once] for first in range(0, len(sources), at_once))
         return np.concatenate([self._tested(part, test_frames)[1].sum(axis=1) for part in parts])
 
@@ -217,14 +211,13 @@ class _Hypotheses:
 
     def _tested(self, sources: Indices, test_frames: Indices) -> tuple[Float64, Float64]:
         """Test the calibrations from ``sources`` (H, 2) on test frames (V,): misfit and cost, (H, V) each."""
-        bases, offsets = self._calibrations(sources)
-        frame, k = sources.T
+        (bases, offsets), frame = self._calibrations(sources), sources[:, 0]
         read = self._read[test_frames]
         pose = self._relative[test_frames] @ bases[:, None] @ read.pose
         expected = Posed(pose, read.joints + offsets[:, None, 2:])
         dimension = 6 + expected.joints.shape[-1]
         # covariance of the hypothesis: of the mode that it was made from, and of that frame's readings
-        own = self._covariance[frame, k] + self._of_readings[frame]
+        own = self._arm.covariances[frame] + self._of_readings[frame]
         transport = np.tile(np.eye(dimension), (len(sources), len(test_frames), 1, 1))
         transport[..., :6, :6] = adjoint(self._root_from_base[test_frames] @ self._read.pose[frame][:, None])
         predicted = transport @ own[:, None] @ np.swapaxes(transport, -1, -2) + self._of_readings[test_frames]
@@ -237,13 +230,13 @@ class _Hypotheses:
                 moves = np.concatenate([moves[:-1] - moves[-1], loads[:-1], own_load], axis=2)
                 moves = adjoint(self._root_from_base[test_frames]) @ moves
                 covariance[:, :6, :6] += moves @ np.swapaxes(moves, 1, 2)
-        changes = self._at[test_frames].minus(_for_each_mode(expected))
+        changes = self._arm.modes[test_frames].minus(_for_each_mode(expected))
         return self._judged(predicted, changes, test_frames)
 
     def against(self, calibration: Calibration) -> Consensus:
         """Test a calibration that is known on all frames."""
         expected = self._model.predict(self._model.calibration(calibration.camera_from_base, calibration.offsets))
-        changes = self._at.minus(_for_each_mode(expected))
+        changes = self._arm.modes.minus(_for_each_mode(expected))
         return Consensus(calibration, *self._judged(self._of_readings, changes, np.arange(len(self._of_readings))))
 
     def _judged(self, predicted: Float64, changes: Float64, test_frames: Indices) -> tuple[Float64, Float64]:
@@ -253,7 +246,7 @@ class _Hypotheses:
         mode of each frame, (..., V) each.
         """
         dimension = changes.shape[-1]
-        total = predicted[..., None, :, :] + self._covariance[test_frames]
+        total = (predicted + self._arm.covariances[test_frames])[..., None, :, :]
         misfit, log_determinant = (one / dimension for one in _distances(changes, total))
         outlier_std = np.concatenate([_OUTLIER_STD, np.full(dimension - 6, _OUTLIER_ANGLE)])
         outlier_cost = 2 * np.log(outlier_std).sum() / dimension + 1
@@ -283,13 +276,13 @@ def check_motion(model: SessionModel) -> None:
         )
 
 
-def check_arm(model: SessionModel, modes: Sequence[Sequence[Mode]], consensus: Consensus) -> None:
+def check_arm(arm: ArmModes, consensus: Consensus) -> None:
     """Refuse readings that only fit with the length of another arm or tool.
 
     Parameters
     ----------
-    model, modes
-        As in `find_consensus`.
+    arm
+        The frames.
     consensus
         The consensus of all frames.
 
@@ -303,9 +296,9 @@ def check_arm(model: SessionModel, modes: Sequence[Sequence[Mode]], consensus: C
     if misfit < _GOOD_MISFIT:
         return
     for difference in differences:
-        outer = model.outer.copy()
+        outer = arm.model.outer.copy()
         outer[:, 2] += difference
-        other = find_consensus(replace(model, outer=outer), modes)
+        other = find_consensus(replace(arm, model=replace(arm.model, outer=outer)))
         if other.mean_misfit < IMPROVEMENT * misfit:
             than = "longer" if difference > 0 else "shorter"
             raise InputError(

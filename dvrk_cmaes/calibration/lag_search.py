@@ -6,19 +6,20 @@ readings.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from typing import Final
 
 import numpy as np
 
 from dvrk_cmaes.calibration.blocks import Calibration, PredictedBlock
-from dvrk_cmaes.calibration.consensus import Consensus, Mode, choose_modes, find_consensus
+from dvrk_cmaes.calibration.consensus import Consensus, choose_modes, find_consensus
 from dvrk_cmaes.calibration.lag import FRAME_SECONDS, LEAST_AT_LAG, MOVE, LagCurve, SessionLag
 from dvrk_cmaes.calibration.model import SessionModel
+from dvrk_cmaes.calibration.session_problem import ArmSession
 from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, solve_arms
-from dvrk_cmaes.geometry import Float64, Indices
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 
 LAG: Final = "lag"
@@ -65,134 +66,112 @@ class LagBlock(PredictedBlock):
         return later.minus(earlier)[:, :, None] / (2 * self._step)
 
 
-def find_lag(known: SessionLag, model: SessionModel, modes: Sequence[Sequence[Mode]]) -> SessionLag:
-    """Find the lag of an arm's frames; as it is ``known``, where it was given or readings are not interpolable.
+def find_lag(arm: ArmSession) -> SessionLag:
+    """Find the lag of an arm's frames; as it is known, where it was given or readings are not interpolable.
 
     Where the frames agree at no lag of the usual range, the far range is searched too. The lag is not determined by too
     few frames, nor if the best lag is at the end of the range, or the frames agree at none.
-
-    Parameters
-    ----------
-    known
-        The readings of the frames at any lag.
-    model, modes
-        As in `find_consensus`.
     """
+    known = arm.lag
     if not known.interpolable or known.fixed:
         return known
-    if len(modes) < _LEAST_FRAMES:
-        text = f"{len(modes)} frames have a pose and readings, at least {_LEAST_FRAMES} are needed"
+    if len(arm.frames) < _LEAST_FRAMES:
+        text = f"{len(arm.frames)} frames have a pose and readings, at least {_LEAST_FRAMES} are needed"
         return replace(known, undetermined=text)
-    return _LagSearch(known, model, modes).found()
+    unit, step, ends = known.readings.unit, _step(known), tuple[float, ...]()
+    low, high = RANGE[unit]
+    lags, costs = _costs(arm, low, high, step)
+    if not costs.min() <= _DISAGREE:
+        low, high = -FARTHEST[unit], FARTHEST[unit]
+        coarse, far = _costs(arm, low, high, _COARSE * step)
+        if far.min() < costs.min() / UNLIKELY:
+            about, ends = float(coarse[far.argmin()]), (low, high)
+            lags, costs = _costs(arm, max(low, about - _COARSE * step), min(high, about + _COARSE * step), step)
+    best, finite = int(np.argmin(costs)), np.flatnonzero(np.isfinite(costs))
+    points = tuple(zip(lags[finite].tolist(), costs[finite].tolist(), strict=True))
+    curve = LagCurve(unit, points, known.independent)
+    at_end = min((abs(lags[best] - end) for end in ends), default=np.inf) < _COARSE * step
+    nowhere = (at_end or costs[best] > _DISAGREE) if ends else bool(_NOWHERE < costs[best] < np.inf)
+    between = [costs[min(k, best) : max(k, best) + 1].max() for k in range(len(costs))]
+    alike = (costs < UNLIKELY * costs[best]) & (between > _APART * costs[best])
+    text = ""
+    if not len(finite):
+        text = "too few frames have readings at any lag"
+    elif nowhere:
+        text = (
+            f"not determined in the range searched, {low:g} to {high:+g} {unit}: the frames agree at no lag in it; "
+            "it may lie beyond (take a first guess out by import --lag, or subtract it from image times)"
+        )
+    elif not ends and best in finite[[0, -1]]:
+        text = f"the frames agree best at the end of the range that was searched; {MOVE}"
+    elif alike.any():
+        other = lags[np.argmin(np.where(alike, costs, np.inf))]
+        text = (
+            f"the frames agree about as well at {lags[best]:.3g} and {other:.3g} {unit}, as in a motion that "
+            "repeats itself: --lag, if it is known, or a recording of another motion"
+        )
+    found = replace(known, curve=curve, undetermined=text, nowhere=bool(nowhere))
+    if text:
+        return found
+    estimate = _estimate(arm, float(lags[best]), step)
+    return found.with_estimate(estimate, shown=estimate is not None and curve.shows(estimate[0], len(arm.frames)))
 
 
-@dataclass(frozen=True, eq=False)
-class _LagSearch:
-    """The search for the lag of N frames; arguments as in `find_lag`."""
+def _step(lag: SessionLag) -> float:
+    """Return the time between lags that are compared, in the unit of the readings."""
+    low, high = RANGE[lag.readings.unit]
+    return max(min(FRAME_SECONDS / lag.unit_seconds, lag.readings.interval), (high - low) / (_MOST_STEPS - 1))
 
-    known: SessionLag
-    model: SessionModel
-    modes: Sequence[Sequence[Mode]]
 
-    @cached_property
-    def step(self) -> float:
-        """Time between lags that are compared, in the unit of the readings."""
-        series = self.known.readings
-        low, high = RANGE[series.unit]
-        return max(min(FRAME_SECONDS / self.known.unit_seconds, series.interval), (high - low) / (_MOST_STEPS - 1))
+def _costs(arm: ArmSession, low: float, high: float, step: float) -> tuple[Float64, Float64]:
+    """Return the lags (L,) of a search and the mean misfits (L,) there; infinite with too few readings."""
+    lags = np.asarray(step * np.arange(round(low / step), round(high / step) + 1), np.float64)
+    agreed = [_consensus(arm, lag) for lag in lags.tolist()]
+    return lags, np.array([np.inf if each is None else each.mean_misfit for each in agreed])
 
-    def found(self) -> SessionLag:
-        """Return what the frames show of the lag."""
-        unit, step, ends = self.known.readings.unit, self.step, tuple[float, ...]()
-        low, high = RANGE[unit]
-        lags, costs = self._costs(low, high, step)
-        if not costs.min() <= _DISAGREE:
-            low, high = -FARTHEST[unit], FARTHEST[unit]
-            coarse, far = self._costs(low, high, _COARSE * step)
-            if far.min() < costs.min() / UNLIKELY:
-                about, ends = float(coarse[far.argmin()]), (low, high)
-                lags, costs = self._costs(max(low, about - _COARSE * step), min(high, about + _COARSE * step), step)
-        best, finite = int(np.argmin(costs)), np.flatnonzero(np.isfinite(costs))
-        points = tuple(zip(lags[finite].tolist(), costs[finite].tolist(), strict=True))
-        curve = LagCurve(unit, points, self.known.independent)
-        at_end = min((abs(lags[best] - end) for end in ends), default=np.inf) < _COARSE * step
-        nowhere = (at_end or costs[best] > _DISAGREE) if ends else bool(_NOWHERE < costs[best] < np.inf)
-        between = [costs[min(k, best) : max(k, best) + 1].max() for k in range(len(costs))]
-        alike = (costs < UNLIKELY * costs[best]) & (between > _APART * costs[best])
-        text = ""
-        if not len(finite):
-            text = "too few frames have readings at any lag"
-        elif nowhere:
-            text = (
-                f"not determined in the range searched, {low:g} to {high:+g} {unit}: the frames agree at no lag in it; "
-                "it may lie beyond (take a first guess out by import --lag, or subtract it from image times)"
-            )
-        elif not ends and best in finite[[0, -1]]:
-            text = f"the frames agree best at the end of the range that was searched; {MOVE}"
-        elif alike.any():
-            other = lags[np.argmin(np.where(alike, costs, np.inf))]
-            text = (
-                f"the frames agree about as well at {lags[best]:.3g} and {other:.3g} {unit}, as in a motion that "
-                "repeats itself: --lag, if it is known, or a recording of another motion"
-            )
-        found = replace(self.known, curve=curve, undetermined=text, nowhere=bool(nowhere))
-        if text:
-            return found
-        estimate = self._estimate(float(lags[best]))
-        return found.with_estimate(estimate, shown=estimate is not None and curve.shows(estimate[0], len(self.modes)))
 
-    def _costs(self, low: float, high: float, step: float) -> tuple[Float64, Float64]:
-        """Return the lags (L,) of a search and the mean misfits (L,) there; infinite with too few readings."""
-        lags = np.asarray(step * np.arange(round(low / step), round(high / step) + 1), np.float64)
-        agreed = [self._consensus(lag) for lag in lags.tolist()]
-        return lags, np.array([np.inf if each is None else each.mean_misfit for each in agreed])
+def _consensus(arm: ArmSession, value: float) -> Consensus | None:
+    """Return the consensus of the frames' modes at a lag; None if too few frames have readings there."""
+    has = np.flatnonzero(arm.lag.has_readings(value))
+    if len(has) < max(LEAST_AT_LAG, _LEAST_SHARE * len(arm.frames)):
+        return None
+    there = replace(arm, model=_model_at(arm, value)).subset(has)
+    return find_consensus(there, hypothesis_frames=_HYPOTHESIS_FRAMES, test_frames=_TEST_FRAMES)
 
-    def _consensus(self, value: float) -> Consensus | None:
-        """Return the consensus of the frames' modes at a lag; None if too few frames have readings there."""
-        has = np.flatnonzero(self.known.has_readings(value))
-        if len(has) < max(LEAST_AT_LAG, _LEAST_SHARE * len(self.modes)):
-            return None
-        few = {"hypothesis_frames": _HYPOTHESIS_FRAMES, "test_frames": _TEST_FRAMES}
-        own = [self.modes[int(i)] for i in has]
-        return find_consensus(self.model_at(value).subset(has), own, **few)
 
-    def model_at(self, value: float) -> SessionModel:
-        """Return the model of the readings at a lag, by which lags are compared.
+def _model_at(arm: ArmSession, value: float) -> SessionModel:
+    """Return the model of the readings at a lag, by which lags are compared.
 
-        Its readings are smoothed: otherwise a lag between two rows would agree better than one at a row, because it
-        averages the noise of both. The errors of joints that cables move last for seconds, so that frames close to each
-        other count as one for these joints: play in the cables would otherwise be taken for a lag.
-        """
-        count = len(self.known.times)
-        spacing = float(np.ptp(self.known.times)) / max(count - 1, 1) * self.known.unit_seconds
-        factor = float(np.sqrt(np.clip(_CABLE_SECONDS / max(spacing, 1e-9), 1.0, count)))
-        own = self.model.deviations
-        outer = own.outer * np.where(np.array(OUTER_JOINTS) == "roll", factor, 1.0)
-        wide = replace(own, outer=outer, joints=factor * own.joints)
-        return replace(self.known.model_at(self.model, value, smoothed=True), deviations=wide)
+    Its readings are smoothed: otherwise a lag between two rows would agree better than one at a row, because it
+    averages the noise of both. The errors of joints that cables move last for seconds, so that frames close to each
+    other count as one for these joints: play in the cables would otherwise be taken for a lag.
+    """
+    count, own = len(arm.frames), arm.model.deviations
+    spacing = float(np.ptp(arm.lag.times)) / max(count - 1, 1) * arm.lag.unit_seconds
+    factor = float(np.sqrt(np.clip(_CABLE_SECONDS / max(spacing, 1e-9), 1.0, count)))
+    outer = own.outer * np.where(np.array(OUTER_JOINTS) == "roll", factor, 1.0)
+    wide = replace(own, outer=outer, joints=factor * own.joints)
+    return replace(arm.lag.model_at(arm.model, value, smoothed=True), deviations=wide)
 
-    def _subset(self, index: Indices) -> _LagSearch:
-        """Return the search with the frames at some indices."""
-        return _LagSearch(self.known.subset(index), self.model.subset(index), [self.modes[int(i)] for i in index])
 
-    def _estimate(self, start: float) -> tuple[float, float] | None:
-        """Estimate the lag near that of the search with the calibration, by the modes that agree there.
+def _estimate(arm: ArmSession, start: float, step: float) -> tuple[float, float] | None:
+    """Estimate the lag near that of the search with the calibration, by the modes that agree there.
 
-        The standard deviation is that of as many frames as err independently. None if too few frames have readings
-        around it, or they agree best nowhere near.
-        """
-        consensus, near, known = self._consensus(start), _NEAR * self.step, self.known
-        has = np.flatnonzero(known.has_readings(start - near) & known.has_readings(start + near))
-        if consensus is None or len(has) < LEAST_AT_LAG:
-            return None
-        own = self._subset(has[np.argsort(known.times[has], kind="stable")])
-        chosen = choose_modes(own.known.model_at(own.model, start), own.modes, consensus.calibration)
-        alike = len(has) / own.known.independent
-        block = LagBlock(FARTHEST[known.readings.unit] / np.sqrt(alike), own.model_at, _DIFFERENCE * self.step)
-        begun = consensus.calibration.with_blocks(block, **{LAG: np.array([start])})
-        (solution,) = solve_arms([ArmFrames(own.model_at(start), FrameFits.of_modes(chosen), begun)])
-        place, value = begun.place(LAG), solution.calibration.values[LAG].item()
-        if not abs(value - start) < near - _DIFFERENCE * self.step:
-            return None
-        alone = alike * np.linalg.inv(solution.information)[place, place]
-        return value, float(np.sqrt(max(alone.item(), solution.covariance[place, place].item())))
+    The standard deviation is that of as many frames as err independently. None if too few frames have readings
+    around it, or they agree best nowhere near.
+    """
+    consensus, near, known = _consensus(arm, start), _NEAR * step, arm.lag
+    has = np.flatnonzero(known.has_readings(start - near) & known.has_readings(start + near))
+    if consensus is None or len(has) < LEAST_AT_LAG:
+        return None
+    own = arm.subset(has[np.argsort(known.times[has], kind="stable")])
+    chosen = choose_modes(replace(own, model=own.lag.model_at(own.model, start)), consensus.calibration)
+    alike = len(has) / own.lag.independent
+    block = LagBlock(FARTHEST[known.readings.unit] / np.sqrt(alike), partial(_model_at, own), _DIFFERENCE * step)
+    begun = consensus.calibration.with_blocks(block, **{LAG: np.array([start])})
+    (solution,) = solve_arms([ArmFrames(_model_at(own, start), FrameFits.of_modes(own, chosen), begun)])
+    place, value = begun.place(LAG), solution.calibration.values[LAG].item()
+    if not abs(value - start) < near - _DIFFERENCE * step:
+        return None
+    alone = alike * np.linalg.inv(solution.information)[place, place]
+    return value, float(np.sqrt(max(alone.item(), solution.covariance[place, place].item())))

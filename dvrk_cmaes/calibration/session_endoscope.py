@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from dvrk_cmaes.calibration.blocks import ENDOSCOPE, Calibration
-from dvrk_cmaes.calibration.consensus import Consensus, Mode, agreement, evenly_spaced, find_consensus
+from dvrk_cmaes.calibration.consensus import ArmModes, Consensus, agreement, evenly_spaced, find_consensus
 from dvrk_cmaes.calibration.endoscope import (
     OFFSET_STD,
     Endoscope,
@@ -24,7 +24,6 @@ from dvrk_cmaes.calibration.endoscope import (
     Steered,
     filled,
 )
-from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.session_frame import SessionFrame
 from dvrk_cmaes.calibration.session_problem import ArmSession
 from dvrk_cmaes.calibration.solve import Solved, solve_with_modes
@@ -46,40 +45,34 @@ _CHANGE: Final = 12.0  # penalty for a change of the base, where a frame that is
 _MOST_SEARCHES: Final = 6
 
 
-def find_hand_eye(model: SessionModel, modes: Sequence[Sequence[Mode]], steered: Steered) -> Steered:
+def find_hand_eye(arm: ArmModes, steered: Steered) -> Steered:
     """Find the camera in the endoscope's tip by which the frames' modes agree best, at any turn about the axis.
 
     Parameters
     ----------
-    model, modes
-        As in `find_consensus`.
+    arm
+        The frames.
     steered
         The endoscope in all frames, whose camera is not known yet.
     """
-    few = evenly_spaced(len(modes), _TEST_FRAMES)
-    modes, model = [modes[i] for i in few], replace(model, endoscope=None).subset(few)
+    few = evenly_spaced(len(arm.counts), _TEST_FRAMES)
+    arm = replace(arm, model=replace(arm.model, endoscope=None)).subset(few)
 
-    def consensus(offered: Steered) -> tuple[SessionModel, Consensus]:
-        with_it = replace(model, endoscope=offered.subset(few))
-        return with_it, find_consensus(with_it, modes, hypothesis_frames=_HYPOTHESIS_FRAMES)
+    def consensus(offered: Steered) -> tuple[ArmModes, Consensus]:
+        with_it = replace(arm, model=replace(arm.model, endoscope=offered.subset(few)))
+        return with_it, find_consensus(with_it, hypothesis_frames=_HYPOTHESIS_FRAMES)
 
     tried = [(offered, *consensus(offered)) for offered in steered.hand_eyes()]
     refined = list[tuple[float, Steered]]()
     for offered, with_it, agreed in sorted(tried, key=lambda one: one[-1].mean_misfit)[:_TRIED]:
-        values = solve_with_modes(with_it, modes, agreed.calibration).calibration.endoscope
+        values = solve_with_modes(with_it, agreed.calibration).calibration.endoscope
         assert values is not None
         there = replace(offered, start=values, loose=_FOUND * offered.loose)
         refined.append((float(consensus(there)[1].cost.mean()), there))
     return min(refined, key=lambda one: one[0])[1]
 
 
-def find_pieces(
-    model: SessionModel,
-    modes: Sequence[Sequence[Mode]],
-    consensus: Consensus,
-    *,
-    alike: float = 1.0,
-) -> Pieces | None:
+def find_pieces(arm: ArmModes, consensus: Consensus, alike: float) -> Pieces | None:
     """Find the pieces of a session whose base or camera moved without readings that show, None if it stood still.
 
     A change-point search: the pieces are those of least cost, the sum of the frames' robust costs at the base of their
@@ -88,8 +81,8 @@ def find_pieces(
 
     Parameters
     ----------
-    model, modes
-        As in `find_consensus`, of N frames in the order they were taken.
+    arm
+        The frames in the order they were taken.
     consensus
         The consensus of all frames.
     alike
@@ -100,14 +93,15 @@ def find_pieces(
     Pieces or None
         The pieces of all frames, of which that with most frames is the reference.
     """
-    runs = np.convolve(~consensus.agree, np.ones(LEAST_PIECE), "valid") if len(modes) >= LEAST_PIECE else np.zeros(0)
+    off = ~consensus.agree
+    runs = np.convolve(off, np.ones(LEAST_PIECE), "valid") if len(off) >= LEAST_PIECE else np.zeros(0)
     if not (runs == LEAST_PIECE).any():  # no consecutive frames disagree together
         return None
-    bases = _bases_of_runs(model, modes, float(consensus.calibration.offsets[1]))
+    bases = _bases_of_runs(arm, float(consensus.calibration.offsets[1]))
     pieces = np.zeros(0, np.intp)
     for _ in range(_MOST_SEARCHES if bases else 0):
-        costs = np.array([agreement(model, modes, base).cost for base in bases]) / alike
-        before, (pieces, cameras, solution) = pieces, _solved(model, modes, bases, _fewest_changes(costs))
+        costs = np.array([agreement(arm, base).cost for base in bases]) / alike
+        before, (pieces, cameras, solution) = pieces, _solved(arm, bases, _fewest_changes(costs))
         if np.array_equal(before, pieces):
             break
         found = solution.calibration.alone(without=ENDOSCOPE)
@@ -115,9 +109,7 @@ def find_pieces(
     return Pieces.of(pieces, cameras) if pieces.any() else None
 
 
-def _solved(
-    model: SessionModel, modes: Sequence[Sequence[Mode]], bases: Sequence[Calibration], place: Indices
-) -> tuple[Indices, Float64, Solved]:
+def _solved(arm: ArmModes, bases: Sequence[Calibration], place: Indices) -> tuple[Indices, Float64, Solved]:
     """Solve N frames, each of which is at one of some bases (N,), with all else shared.
 
     Returns the numbers of their pieces (N,), that with most frames first, the reference camera in the others (P, 4, 4),
@@ -129,23 +121,22 @@ def _solved(
     moves = [bases[k].camera_from_base @ inverse(start.camera_from_base) for k in held[order[1:]]]
     cut = Pieces.of(pieces, np.array(moves).reshape(-1, 4, 4))
     if not moves:
-        return pieces, cut.start.poses, solve_with_modes(model, modes, start)
+        return pieces, cut.start.poses, solve_with_modes(arm, start)
     start = start.with_blocks(cut.block, endoscope=cut.start)
-    solution = solve_with_modes(replace(model, endoscope=cut), modes, start)
+    solution = solve_with_modes(replace(arm, model=replace(arm.model, endoscope=cut)), start)
     values = solution.calibration.endoscope
     assert values is not None
     return pieces, values.poses, solution
 
 
-def _bases_of_runs(model: SessionModel, modes: Sequence[Sequence[Mode]], roll: float) -> list[Calibration]:
-    """Return the bases of short runs of consecutive frames that agree on one; arguments as in `find_pieces`."""
-    count, found = len(modes), list[Calibration]()
+def _bases_of_runs(arm: ArmModes, roll: float) -> list[Calibration]:
+    """Return the bases of short runs of consecutive frames that agree on one; arguments as in `find_consensus`."""
+    count, found = len(arm.counts), list[Calibration]()
     length = max(_LEAST_WINDOW, -(-count // _MOST_WINDOWS))
     for first in range(0, max(count - length, 0) + 1, max(length // 2, 1)):
         index = list(range(first, min(first + length, count)))
-        own, own_modes = model.subset(index), [modes[i] for i in index]
-        start = find_consensus(own, own_modes, roll=roll).calibration
-        solution = solve_with_modes(own, own_modes, start)
+        own = arm.subset(index)
+        solution = solve_with_modes(own, find_consensus(own, roll=roll).calibration)
         if solution.agree.sum() >= max(LEAST_PIECE, _AGREE * len(index)):
             found.append(solution.calibration)
     return found

@@ -97,8 +97,8 @@ def started(arms: Arms) -> Arms:
         if steered is not None:
             places = places or steered.places
             arm.setup.progress("finding the camera in the endoscope", len(arm.frames))
-            arm = replace(arm, model=replace(arm.model, endoscope=find_hand_eye(arm.model, arm.modes, steered)))
-        found.append(replace(arm, lag=find_lag(arm.lag, arm.model, arm.modes)))
+            arm = replace(arm, model=replace(arm.model, endoscope=find_hand_eye(arm, steered)))
+        found.append(replace(arm, lag=find_lag(arm)))
     common = in_common([arm.lag for arm in found])
     return [replace(arm, lag=lag) for arm, lag in zip(found, common, strict=True)]
 
@@ -119,16 +119,16 @@ def initialised(arm: ArmSession, *, may_cut: bool = True) -> ArmSession:
     if arm.change is not None and (reason := camera_undetermined(arm.model)):
         raise arm.camera_refused(reason)
     arm = _less_lag(arm)
-    consensus = find_consensus_at_any_roll(arm.model, arm.modes)
-    check_arm(arm.model, arm.modes, consensus)
+    consensus = find_consensus_at_any_roll(arm)
+    check_arm(arm, consensus)
     if may_cut and arm.model.endoscope is None:
         alike = float(np.median(frames_alike(arm.times, arm.setup.config.session.alike_seconds)))
-        pieces = find_pieces(arm.model, arm.modes, consensus, alike=alike)
+        pieces = find_pieces(arm, consensus, alike)
         if pieces is not None:
             arm = replace(arm, model=replace(arm.model, endoscope=pieces))
             arm = arm.noted(remarks=[describe_pieces(pieces, arm.frames)])
-            consensus = find_consensus_at_any_roll(arm.model, arm.modes)
-    return replace(arm, found=solve_with_modes(arm.model, arm.modes, consensus.calibration))
+            consensus = find_consensus_at_any_roll(arm)
+    return replace(arm, found=solve_with_modes(arm, consensus.calibration))
 
 
 def _less_lag(arm: ArmSession) -> ArmSession:
@@ -227,9 +227,9 @@ def _fitted(arm: ArmSession, scale: float, *, last: bool) -> ArmSession:
         agrees = [clear and fit.explains_mask for clear, fit in zip(agrees, arm.fits, strict=True)]
         before = [(arm.at[k],) for k in range(len(arm.frames))]
     else:
-        chosen = choose_modes(arm.model, arm.modes, arm.calibration)
-        pairs = zip(agrees, chosen, arm.modes, strict=True)
-        before = [(mode.at,) if clear else tuple(one.at for one in modes) for clear, mode, modes in pairs]
+        of_frames = zip(agrees, choose_modes(arm, arm.calibration).tolist(), arm.counts.tolist(), strict=True)
+        numbers = [(best,) if clear else range(count) for clear, best, count in of_frames]
+        before = [tuple(arm.modes[i][k] for k in of_frame) for i, of_frame in enumerate(numbers)]
     fits = arm.fits if arm.moved is None and arm.fits else (None,) * len(arm.frames)
     each = zip(before, expected, agrees, fits, strict=True)
     starts = [starts_of(at, prior, turn, agrees=clear, fit=fit) for at, prior, clear, fit in each]

@@ -10,7 +10,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.blocks import BlockCheck, Calibration, FoundBlock, SeenBlock
 from dvrk_cmaes.calibration.cables import CableFit
-from dvrk_cmaes.calibration.consensus import Mode
+from dvrk_cmaes.calibration.consensus import ArmModes
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.lag import SessionLag
 from dvrk_cmaes.calibration.masks_and_sizes import MaskMargin, taken_off
@@ -21,7 +21,7 @@ from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, Solved
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import Float64, Posed
+from dvrk_cmaes.geometry import Float64, Indices, Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.joints.lag import Lag
@@ -64,11 +64,11 @@ class ArmSetup:
 
 
 @dataclass(frozen=True, eq=False)
-class ArmSession:
+class ArmSession(ArmModes):
     """The frames of one arm in a session, and how far its estimation is.
 
-    ``frames`` are the N frames in use, ``modes`` those of each and ``model`` the model of their readings, with what the
-    lag takes out of these; ``cables`` are the fits of what cables do to readings, None before the first. ``stored`` is
+    ``frames`` are the N frames in use, and ``model`` is the model of their readings, with what the lag takes out of
+    these; ``cables`` are the fits of what cables do to readings, None before the first. ``stored`` is
     the frames' evidence and ``fits`` are their current fits, both empty before the first round. ``found`` is the
     current solution, None before the first one; ``moved`` (N) are the poses from which the next round starts, where a
     camera or a margin was estimated since.
@@ -83,8 +83,6 @@ class ArmSession:
 
     setup: ArmSetup
     frames: tuple[SessionFrame, ...]
-    modes: tuple[Sequence[Mode], ...]
-    model: SessionModel
     lag: SessionLag
     rig: Mapping[str, FoundBlock] = field(default_factory=dict)
     change: Float64 | None = None
@@ -115,13 +113,13 @@ class ArmSession:
             The rotations of the further views against the file that the frames' own results show; those that are clear
             are taken out of the frames.
         """
-        readings, names = [frame.result.readings for frame in frames], setup.instrument.joint_names
+        readings = [frame.result.readings for frame in frames]
         model = SessionModel.of(readings, setup.instrument, setup.config, setup.arm)
         read, alike = [frame.name for frame in frames], setup.config.session.alike_seconds
         lag = SessionLag.of(setup.series, read, model.deviations.outer, setup.lag, alike)
-        modes = tuple(Mode.all_of(frame.result, names) for frame in frames)
+        modes = vars(ArmModes.of_results(model, [frame.result for frame in frames]))
         change = np.zeros(3) if setup.refine_camera else None
-        return cls(setup, tuple(frames), modes, model, lag, rig or {}, change)
+        return cls(**modes, setup=setup, frames=tuple(frames), lag=lag, rig=rig or {}, change=change)
 
     @property
     def solution(self) -> Solved:
@@ -147,15 +145,9 @@ class ArmSession:
         """Return the arm with another calibration, and other changes."""
         return replace(self, found=replace(self.solution, calibration=calibration), **changes)
 
-    def subset(self, index: Sequence[int]) -> ArmSession:
+    def subset(self, index: Sequence[int] | Indices) -> ArmSession:
         """Return the arm with the frames at some indices, before their first fit."""
-        return replace(
-            self,
-            frames=tuple(self.frames[i] for i in index),
-            modes=tuple(self.modes[i] for i in index),
-            model=self.model.subset(index),
-            lag=self.lag.subset(index),
-        )
+        return replace(super().subset(index), frames=tuple(self.frames[i] for i in index), lag=self.lag.subset(index))
 
     def noted(self, *, remarks: Sequence[str] = (), undetermined: Sequence[str] = ()) -> ArmSession:
         """Return the arm with further texts."""

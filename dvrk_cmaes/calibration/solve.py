@@ -21,7 +21,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from dvrk_cmaes.calibration.blocks import Calibration, SeenBlock
-from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Mode, choose_modes
+from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, ArmModes, choose_modes
 from dvrk_cmaes.calibration.model import CommonErrors, Deviations, SessionModel, frames_alike
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import Bool, Float64, Indices, Posed
@@ -57,12 +57,14 @@ class FrameFits:
     seen: Mapping[str, Float64] = field(default_factory=dict)
 
     @classmethod
-    def of_modes(cls, modes: Sequence[Mode]) -> FrameFits:
-        """Take one mode of each frame as a fit with zero slope and the inverse of the mode's covariance."""
-        information = np.linalg.inv(np.array([mode.covariance for mode in modes]))
-        none = np.zeros(information.shape[:2])
-        common = CommonErrors(np.full(len(modes), np.nan), none)
-        return cls(Posed.stacked(mode.at for mode in modes), Quadratic(information, none), common)
+    def of_modes(cls, arm: ArmModes, chosen: Indices) -> FrameFits:
+        """Take the modes of some numbers (N,) as fits with zero slope and the inverse of the modes' covariances."""
+        none = np.zeros(arm.covariances.shape[:2])
+        at, information = (
+            arm.mode(np.arange(len(chosen)), chosen),
+            np.asarray(np.linalg.inv(arm.covariances), np.float64),
+        )
+        return cls(at, Quadratic(information, none), CommonErrors(np.full(len(chosen), np.nan), none))
 
     @cached_property
     def shares(self) -> Float64:
@@ -267,17 +269,14 @@ def solve_arms(arms: Sequence[ArmFrames], *, steps: int = MOST_STEPS) -> list[So
     return solutions
 
 
-def solve_with_modes(model: SessionModel, modes: Sequence[Sequence[Mode]], start: Calibration) -> Solved:
-    """Alternate between choosing a mode of each frame and estimating the calibration from these.
-
-    Arguments are as in `choose_modes`, ``start`` is the first calibration.
-    """
-    chosen = choose_modes(model, modes, start)
+def solve_with_modes(arm: ArmModes, start: Calibration) -> Solved:
+    """Alternate between choosing a mode of each frame and estimating the calibration from these, from a first one."""
+    chosen = choose_modes(arm, start)
     for _ in range(_MODE_ITERATIONS):
-        solution = solve_arms([ArmFrames(model, FrameFits.of_modes(chosen), start)])[0]
+        solution = solve_arms([ArmFrames(arm.model, FrameFits.of_modes(arm, chosen), start)])[0]
         before, start = chosen, solution.calibration
-        chosen = choose_modes(model, modes, start)
-        if all(one is other for one, other in zip(chosen, before, strict=True)):
+        chosen = choose_modes(arm, start)
+        if np.array_equal(chosen, before):
             break
     return solution
 
