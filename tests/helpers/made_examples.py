@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from scipy.spatial.transform import RigidTransform
 
 from dvrk_cmaes.instrument.arm import base_from_root, root_from_tip
 from helpers.made_clips import write_camera, write_clip
-from helpers.made_recordings import HEIGHT, WIDTH, good, write_bag, write_video
+from helpers.made_recordings import good, write_bag, write_lerobot, write_video
 from helpers.made_surgpose import made_arms, write_surgpose
 from helpers.places import ROOT
 from helpers.printed_blocks import run
@@ -94,37 +91,12 @@ def _recordings(folder: Path) -> None:
     write_clip(folder / "online_data" / "2")
     (folder / "SurgPose").mkdir()
     write_surgpose(folder / "SurgPose" / "000000", made_arms(3))
-    _data_set(folder / "dataset", readings[:10])
+    write_lerobot(folder / "dataset", readings[:10], episode=3)
 
 
 def sweep_at(time: float) -> list[float]:
     """Give the readings of the six joints, which are linear in time, of a pose that the arm can take."""
     return [0.1 + 0.1 * time, 0.2, 0.12 + 0.01 * time, 0.3 * time, 0.3 - 0.2 * time, -0.2]
-
-
-def _data_set(folder: Path, readings: list[list[float]]) -> None:
-    """Write a LeRobot data set, v2.1, with an episode 3."""
-    names = [f"PSM1.{name}" for name in (*ARM_JOINTS, "jaw")]
-    key = "observation.images.left"
-    info = {
-        "codebase_version": "v2.1",
-        "fps": 25,
-        "chunks_size": 1000,
-        "data_path": "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet",
-        "video_path": "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4",
-        "features": {"observation.state": {"names": names}, key: {"dtype": "video", "shape": [HEIGHT, WIDTH, 3]}},
-    }
-    for part in ("meta", "data/chunk-000", f"videos/chunk-000/{key}"):
-        (folder / part).mkdir(parents=True)
-    (folder / "meta" / "info.json").write_text(json.dumps(info))
-    columns = {
-        "episode_index": [3] * len(readings),
-        "frame_index": list(range(len(readings))),
-        "timestamp": [k / 25 for k in range(len(readings))],
-        "observation.state": readings,
-    }
-    pq.write_table(pa.table(columns), folder / "data" / "chunk-000" / "episode_000003.parquet")
-    write_video(folder / "videos" / "chunk-000" / key / "episode_000003.mp4", code="mp4v")
 
 
 def _table(path: Path, names: tuple[str, ...], rows: list[list[float]]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -10,6 +11,8 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
@@ -173,3 +176,20 @@ def write_video(path: Path, frames: int = 10, rate: float = 25.0, code: str = "F
         writer.write(pixels(k))
     writer.release()
     return path
+
+
+def write_lerobot(folder: Path, readings: Sequence[Sequence[float]], episode: int = 0) -> Path:
+    """Write a LeRobot data set, v2.1, of one episode, with the readings (N, 7) of PSM1 at 25 Hz and a video."""
+    key, rows = "observation.images.left", range(len(readings))
+    features = {"observation.state": {"names": [f"PSM1.{name}" for name in (*ARM, "jaw")]}, key: {"dtype": "video"}}
+    info = {"codebase_version": "v2.1", "fps": 25, "features": features}
+    info["data_path"] = "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"
+    info["video_path"] = "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4"
+    for part in ("meta", "data/chunk-000", f"videos/chunk-000/{key}"):
+        (folder / part).mkdir(parents=True)
+    (folder / "meta" / "info.json").write_text(json.dumps(info))
+    columns: dict[str, Any] = {"episode_index": [episode] * len(rows), "frame_index": list(rows)}
+    columns |= {"timestamp": [k / 25 for k in rows], "observation.state": [list(row) for row in readings]}
+    pq.write_table(pa.table(columns), folder / "data" / "chunk-000" / f"episode_{episode:06d}.parquet")
+    write_video(folder / "videos" / "chunk-000" / key / f"episode_{episode:06d}.mp4", code="mp4v")
+    return folder

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from promises.program import QUICK, Kept
+from promises.program import Kept
 
 
 @pytest.fixture(scope="session")
@@ -20,10 +20,9 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Kept:
 
 
 @pytest.fixture
-def quick(tmp_path: Path) -> Path:
+def quick(kept: Kept) -> Path:
     """Settings of a short search."""
-    (tmp_path / "quick.toml").write_text(QUICK)
-    return tmp_path / "quick.toml"
+    return kept.quick
 
 
 @pytest.fixture(autouse=True)

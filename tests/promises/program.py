@@ -6,9 +6,10 @@ import fcntl
 import hashlib
 import io
 import json
+import os
 import signal
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, chdir, contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -16,14 +17,9 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-import numpy as np
-
 ROOT = Path(__file__).parents[2]
 DEMO = ROOT / "data" / "demo"
 PROGRAM = Path(sys.executable).with_name("dvrk-cmaes")
-OUT = "<out>"
-"""Stands for a new folder in the arguments of a command whose output is kept."""
-
 CAMERA = """image_width: 320
 image_height: 240
 camera_matrix: {rows: 3, cols: 3, data: [521.3, 0, 163.0, 0, 519.0, 117.5, 0, 0, 1]}
@@ -31,6 +27,10 @@ distortion_model: plumb_bob
 distortion_coefficients: {rows: 1, cols: 5, data: [0, 0, 0, 0, 0]}
 """
 """A camera of a quarter of the usual pixels, for quick worlds."""
+
+EASY = ("--level", "easy", "--frames", 8, "--seed", 5, "--no-images")
+EYES = ("--stereo", "--level", "medium", "--frames", 4, "--seed", 2, "--no-images")
+TOOLS = ("--arms", 2, "--level", "easy", "--frames", 4, "--seed", 3, "--no-images")
 
 QUICK = "[search]\nsamples = 128\nstarts = 2\nevaluations = 160\n"
 """Settings of a short search, for tests of what is done with results."""
@@ -95,74 +95,38 @@ class Kept:
     base: Path
 
     def __call__(self, *arguments: object) -> Ran:
-        """Run a command, or give what it wrote before; OUT among the arguments is the folder that it writes.
-
-        What tests change in such a folder they change in a copy.
-        """
+        """Run a command that writes a folder, or give what it wrote before; tests change such a folder in a copy."""
         words = [str(argument) for argument in arguments]
-        words += ["--workers", "1"] if words[0] in ("batch", "calibrate", "track") else []  # tests run on all cores
+        words += ["--workers", "1"] if words[0] != "synth" else []  # tests run on all cores
         place = self.base / f"{words[0]}-{hashlib.sha256(repr(words).encode()).hexdigest()[:12]}"
         place.mkdir(exist_ok=True)
         with open(place / "lock", "w", encoding="utf-8") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             if not (place / "ran.json").exists():
-                ran = run(*(str(place / "out") if word == OUT else word for word in words))
+                ran = run(*words, *([] if words[0] == "synth" else ["--out"]), place / "out")
                 assert ran.code in (0, 3), ran
                 (place / "ran.json").write_text(json.dumps([ran.code, ran.out, ran.err]))
             code, out, err = json.loads((place / "ran.json").read_text())
         return Ran(code, out, err, place / "out")
 
+    @property
+    def quick(self) -> Path:
+        """Settings of a short search."""
+        return self._file("quick.toml", QUICK)
 
-def synth(kept: Kept, *options: object) -> Path:
-    """Draw a session once, in images of 320 x 240 px."""
-    camera = kept.base / "small.yaml"
-    if not camera.exists():
-        camera.write_text(CAMERA)
-    return kept("synth", OUT, "--camera", camera, *options).folder
+    def synth(self, *options: object) -> Path:
+        """Draw a session, in images of 320 x 240 px."""
+        return self("synth", "--camera", self._file("small.yaml", CAMERA), *options).folder
 
-
-def results(folder: Path) -> dict[str, dict[str, Any]]:
-    """Read the results of a folder by frame."""
-    return {path.stem: json.loads(path.read_text()) for path in sorted((folder / "frames").iterdir())}
-
-
-def tracks(folder: Path) -> dict[str, dict[str, Any]]:
-    """Read a followed recording by frame."""
-    rows = [json.loads(line) for line in (folder / "tracks.jsonl").read_text().splitlines()]
-    return {row["frame"]: row for row in rows}
-
-
-def truth(session: Path, arm: str = "") -> dict[str, dict[str, Any]]:
-    """Read the true poses of a session by frame."""
-    name = f"golden_{arm}.json" if arm else "golden.json"
-    frames: dict[str, dict[str, Any]] = json.loads((session / name).read_text())["frames"]
-    return frames
-
-
-def matrix(document: Mapping[str, Any], name: str) -> np.ndarray:
-    """Give a 4 x 4 transform of a document."""
-    found = np.array(document[name], float)
-    assert found.shape == (4, 4)
-    return found
-
-
-def tip_errors(found: Mapping[str, Any], true: Mapping[str, Any]) -> np.ndarray:
-    """Give the distances (2,) of the jaw tips from their true positions, mm."""
-    return np.linalg.norm(np.subtract(found["tips"], true["tips_camera_m"]), axis=1) * 1e3
-
-
-def distance(found: np.ndarray, true: np.ndarray) -> tuple[float, float]:
-    """Give how far a transform is from the true one, in mm and degrees."""
-    turn = np.linalg.inv(true[:3, :3]) @ found[:3, :3]
-    angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1.0, 1.0)))
-    return float(np.linalg.norm(found[:3, 3] - true[:3, 3]) * 1e3), float(angle)
+    def _file(self, name: str, text: str) -> Path:
+        path = self.base / name
+        if not path.exists():
+            part = path.with_suffix(f".{os.getpid()}")
+            part.write_text(text)
+            part.replace(path)
+        return path
 
 
 def content(folder: Path) -> dict[str, bytes]:
     """Give all files of a folder, also hidden ones."""
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-
-
-def median(values: Sequence[float] | np.ndarray) -> float:
-    """Give the median."""
-    return float(np.median(values))

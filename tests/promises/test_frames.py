@@ -12,7 +12,6 @@ import pytest
 from dvrk_cmaes import (
     Camera,
     EstimateConfig,
-    InputError,
     Renderer,
     Result,
     Rig,
@@ -20,19 +19,16 @@ from dvrk_cmaes import (
     estimate,
     estimate_tools,
     prepare,
-    read_calibration,
     read_camera,
     read_frame,
     read_result,
     read_session,
 )
-from promises.program import DEMO, OUT, Kept, distance, matrix, median, results, run, synth, tip_errors, truth
+from promises.program import DEMO, EASY, EYES, TOOLS, Kept, run
+from promises.truth import distance, matrix, median, results, tip_errors, truth
 
 BODY = prepare("lnd")
-EASY = ("--level", "easy", "--frames", 8, "--seed", 5, "--no-images")
 MEDIUM = ("--level", "medium", "--frames", 8, "--seed", 3, "--no-images")
-EYES = ("--stereo", "--level", "medium", "--frames", 4, "--seed", 2, "--no-images")
-TOOLS = ("--arms", 2, "--level", "easy", "--frames", 4, "--seed", 3, "--no-images")
 FREE = ("--motion", "free", "--level", "clean", "--frames", 4, "--seed", 9, "--no-images")
 WORLDS = {"one eye, easy": EASY, "one eye, medium": MEDIUM, "two eyes, medium": EYES, "exact masks": FREE}
 
@@ -44,17 +40,12 @@ def png(path: Path) -> np.ndarray:
     return pixels
 
 
-def readings_of(path: Path, frame: str) -> dict[str, float]:
-    """Read the row of a frame of joints.csv."""
-    header, *rows = path.read_text().splitlines()
-    row = next(row.split(",") for row in rows if row.startswith(frame))
-    return dict(zip(header.split(",")[1:], map(float, row[1:]), strict=True))
-
-
 def by_hand(session: Path, frame: str) -> tuple[np.ndarray, Camera, dict[str, float]]:
     """Read mask, camera and readings of a frame as a script does."""
-    mask = png(session / "masks" / f"{frame}.png") > 127
-    return mask, read_camera(session / "camera.yaml"), readings_of(session / "joints.csv", frame)
+    header, *rows = (session / "joints.csv").read_text().splitlines()
+    (row,) = (row.split(",") for row in rows if row.startswith(frame))
+    readings = dict(zip(header.split(",")[1:], map(float, row[1:]), strict=True))
+    return png(session / "masks" / f"{frame}.png") > 127, read_camera(session / "camera.yaml"), readings
 
 
 def test_batches_are_accurate_and_state_their_errors(kept: Kept) -> None:
@@ -64,15 +55,13 @@ def test_batches_are_accurate_and_state_their_errors(kept: Kept) -> None:
     """
     shares, wrong, counts = [], [], {}
     for name, options in WORLDS.items():
-        session = synth(kept, *options)
-        batch = kept("batch", session, "--out", OUT)
+        session = kept.synth(*options)
+        batch = kept("batch", session)
         found, true = results(batch.folder), truth(session)
         assert sorted(found) == sorted(true)
         errors = {frame: tip_errors(result, true[frame]) for frame, result in found.items()}
         stated = {frame: result["std"]["tip_90_given_camera_mm"] for frame, result in found.items()}
-        assert all(
-            given < result["std"]["tip_90_mm"] for given, result in zip(stated.values(), found.values(), strict=True)
-        )
+        assert all(stated[frame] < result["std"]["tip_90_mm"] for frame, result in found.items())
         shares += [errors[frame].max() / given for frame, given in stated.items()]
         ok = [frame for frame, result in found.items() if result["status"] == "ok"]
         wrong += [frame for frame in ok if errors[frame].max() > 3.0]
@@ -92,8 +81,8 @@ def test_batches_are_accurate_and_state_their_errors(kept: Kept) -> None:
 
 @pytest.mark.usefixtures("search_short")
 def test_two_tools_of_one_image_are_estimated_each_by_its_own_mask(kept: Kept) -> None:
-    session = synth(kept, *TOOLS)
-    batch = kept("batch", session, "--out", OUT)
+    session = kept.synth(*TOOLS)
+    batch = kept("batch", session)
     for arm in ("PSM1", "PSM2"):
         true = truth(session, arm)
         found = results(batch.folder / arm)
@@ -102,19 +91,20 @@ def test_two_tools_of_one_image_are_estimated_each_by_its_own_mask(kept: Kept) -
         assert (errors <= stated[:, None]).mean() >= 0.8
         assert median(errors) < 1.5
     labels = png(session / "masks" / "0000.png")
-    readings = {k: readings_of(session / f"joints_PSM{k}.csv", "0000") for k in (1, 2)}
-    tools = {f"PSM{k}": ToolInFrame(labels == k, readings[k], BODY) for k in (1, 2)}
-    both = estimate_tools(tools, read_camera(session / "camera.yaml"))
-    for arm, result in both.items():
+    tools = {}
+    for k, arm in enumerate(("PSM1", "PSM2"), start=1):
+        files = read_session(session, joints=[session / f"joints_{arm}.csv"]).frames[0]
+        tools[arm] = ToolInFrame(labels == k, files.readings, BODY)
+    for arm, result in estimate_tools(tools, read_camera(session / "camera.yaml")).items():
         assert tip_errors(result.to_dict(), truth(session, arm)["0000"]).max() < 2.0
 
 
 def test_result_in_python_is_that_of_the_command(kept: Kept) -> None:
-    session = synth(kept, *EASY)
+    session = kept.synth(*EASY)
     mask, camera, readings = by_hand(session, "0003")
     points = read_session(session).frames[3].keypoints
     result = estimate(mask, camera, readings, BODY, keypoints=points)
-    written = results(kept("batch", session, "--out", OUT).folder)["0003"]
+    written = results(kept("batch", session).folder)["0003"]
     np.testing.assert_allclose(result.camera_from_root, matrix(written, "camera_from_root"), atol=1e-6)
     assert result.joints == pytest.approx(written["joints"], abs=1e-6)
     true = truth(session)["0003"]
@@ -130,7 +120,7 @@ def test_result_in_python_is_that_of_the_command(kept: Kept) -> None:
 
 @pytest.mark.usefixtures("estimates_anew", "search_short")
 def test_same_input_and_seed_give_the_same_answer_with_any_threads(kept: Kept) -> None:
-    mask, camera, readings = by_hand(synth(kept, *EASY), "0001")
+    mask, camera, readings = by_hand(kept.synth(*EASY), "0001")
     answers = [
         estimate(mask, camera, readings, BODY, config=EstimateConfig(seed=seed, threads=threads))
         for seed, threads in ((4, 1), (4, 1), (4, 2), (5, 1))
@@ -142,7 +132,7 @@ def test_same_input_and_seed_give_the_same_answer_with_any_threads(kept: Kept) -
 
 
 def test_missing_reading_is_unknown_and_no_readings_are_doubtful(kept: Kept) -> None:
-    session = synth(kept, *FREE)
+    session = kept.synth(*FREE)
     for name, true in truth(session).items():
         mask, camera, readings = by_hand(session, name)
         part = estimate(mask, camera, {"wrist_yaw": readings["wrist_yaw"], "jaw": readings["jaw"]}, BODY)
@@ -163,7 +153,7 @@ def test_mirror_twin_is_as_likely_where_nothing_is_read() -> None:
 
 
 def test_errors_of_the_camera_file_count_where_it_is_metres_that_are_stated(kept: Kept) -> None:
-    mask, camera, readings = by_hand(synth(kept, *FREE), "0001")
+    mask, camera, readings = by_hand(kept.synth(*FREE), "0001")
 
     def of_file(focal_length: float, size: float) -> Result:
         exact = {field.name: 0.0 for field in fields(EstimateConfig().camera)}
@@ -183,7 +173,7 @@ def test_errors_of_the_camera_file_count_where_it_is_metres_that_are_stated(kept
 
 @pytest.mark.usefixtures("search_short")
 def test_keypoints_and_ignored_pixels_count_as_stated(kept: Kept) -> None:
-    session = synth(kept, *MEDIUM)
+    session = kept.synth(*MEDIUM)
     mask, camera, readings = by_hand(session, "0005")
     true = truth(session)["0005"]
     tips = np.array(true["tips_camera_m"])
@@ -248,7 +238,7 @@ def test_mask_found_in_a_real_image_gives_the_pose_of_a_given_one(shared: Path, 
 
 
 def test_two_eyes_tell_depth_and_contradicting_eyes_are_doubtful(kept: Kept) -> None:
-    session = synth(kept, *EYES)
+    session = kept.synth(*EYES)
     read = read_session(session)
     rig = read.rig
     assert isinstance(rig, Rig)
@@ -271,27 +261,6 @@ def test_two_eyes_tell_depth_and_contradicting_eyes_are_doubtful(kept: Kept) -> 
     assert any("eye" in reason or "right" in reason for reason in wrong.reasons), wrong.reasons
 
 
-def test_calibrated_session_predicts_a_frame(kept: Kept) -> None:
-    session = synth(kept, *EASY)
-    calibrated = kept("calibrate", session, "--out", OUT)
-    calibration = read_calibration(calibrated.folder / "session.json")
-    mask, camera, readings = by_hand(session, "0002")
-    result = estimate(mask, camera, readings, BODY, session=calibration)
-    assert result.source == "session"
-    assert result.evaluations < estimate(mask, camera, readings, BODY).evaluations
-    assert tip_errors(result.to_dict(), truth(session)["0002"]).max() < 1.0
-
-
-@pytest.mark.parametrize(
-    ("kind", "expected"), [("empty", "some instrument"), ("full", "some background"), ("small", "320 x 240 pixels")]
-)
-def test_mask_that_cannot_be_one_is_refused(kept: Kept, kind: str, expected: str) -> None:
-    mask, camera, readings = by_hand(synth(kept, *EASY), "0000")
-    masks = {"empty": np.zeros_like(mask), "full": np.ones_like(mask), "small": mask[:100]}
-    with pytest.raises(InputError, match=rf"^mask: .*{expected}"):
-        estimate(masks[kind], camera, readings, BODY)
-
-
 @pytest.mark.parametrize("name", ["0000", "0002"])
 def test_mask_that_was_cut_off_along_a_line_is_doubted_for_that(name: str) -> None:
     mask, camera, readings = by_hand(DEMO, name)
@@ -306,7 +275,7 @@ def test_mask_that_was_cut_off_along_a_line_is_doubted_for_that(name: str) -> No
 
 
 def test_mask_that_shows_something_else_is_never_ok(kept: Kept) -> None:
-    mask, camera, readings = by_hand(synth(kept, *EASY), "0000")
+    mask, camera, readings = by_hand(kept.synth(*EASY), "0000")
     other = np.zeros_like(mask)
     other[100:130, 10:300] = True
     result = estimate(other, camera, readings, BODY)
