@@ -37,27 +37,25 @@ def main() -> int:
     """Build the site; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "site", metavar="DIR", help="default: build/site")
-    out = parser.parse_args().out.resolve()
+    parser.add_argument("--shorter", type=int, default=1, metavar="N", help="draw 1/N of the gallery's recordings")
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         docs = Path(folder) / "docs"
-        write_sources(docs, Path(folder))
-        return 0 if build(docs, out) else 1
+        write_sources(docs, Path(folder), options.shorter)
+        return 0 if build(docs, options.out.resolve()) else 1
 
 
-def write_sources(docs: Path, work: Path) -> None:
+def write_sources(docs: Path, work: Path, shorter: int) -> None:
     """Write the site's pages in Markdown and the files they show; ``work`` is a folder for the gallery's commands."""
     for name in COPIED:
         source, copy = ROOT / name, docs / name
         copy.parent.mkdir(parents=True, exist_ok=True)
-        if source.is_dir():
-            shutil.copytree(source, copy)
-        else:
-            shutil.copy(source, copy)
+        (shutil.copytree if source.is_dir() else shutil.copy)(source, copy)
     shutil.copy(CONFIG.with_name("extra.css"), docs)
     (work / "gallery").mkdir()
     print("gallery:", file=sys.stderr, flush=True)
     made = {
-        "gallery.md": gallery_page(docs / "gallery", work / "gallery"),
+        "gallery.md": gallery_page(docs / "gallery", work / "gallery", shorter=shorter),
         "examples.md": example_page(ROOT / "scripts" / "examples"),
         "api.md": api_page(),
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 import shutil
 import subprocess
@@ -34,8 +35,6 @@ K: [1540, 0, 480, 0, 1540, 360, 0, 0, 1]
 D: [0, 0, 0, 0, 0]
 """
 """The camera of the first recording, which is in the folder in which the commands are run."""
-_DONE: Final = (0, 3)
-"""Exit codes of commands whose output is shown: ok and doubtful."""
 FOLLOWED: Final = "followed.webp"
 """Name of the moving picture of a folder that `track` wrote."""
 
@@ -123,7 +122,7 @@ EXHIBITS: Final = (
 )
 
 
-def gallery_page(out: Path, work: Path, exhibits: Sequence[Exhibit] = EXHIBITS) -> str:
+def gallery_page(out: Path, work: Path, exhibits: Sequence[Exhibit] = EXHIBITS, shorter: int = 1) -> str:
     """Run the commands of the exhibits in a new folder, copy what is shown, and return the page in Markdown.
 
     Parameters
@@ -134,6 +133,8 @@ def gallery_page(out: Path, work: Path, exhibits: Sequence[Exhibit] = EXHIBITS) 
         A new folder, in which the commands are run.
     exhibits
         What is shown; a command that several of them name is run once.
+    shorter
+        Recordings have as many times fewer frames, where the page is made to check it alone.
     """
     (work / "data").symlink_to(bundled_path(), target_is_directory=True)
     (work / "camera.yaml").write_text(CAMERA, encoding="utf-8")
@@ -141,11 +142,11 @@ def gallery_page(out: Path, work: Path, exhibits: Sequence[Exhibit] = EXHIBITS) 
     for exhibit in exhibits:
         for command in exhibit.commands:
             if command not in ran:
-                _run(command, work)
+                _run(re.sub(r"(?<=--frames )\d+", lambda count: str(int(count[0]) // shorter), command), work)
                 ran.add(command)
         if FOLLOWED in dict(exhibit.pictures):
-            data = moving_picture(work / exhibit.shown, width=960, milliseconds=100, quality=60)
-            (work / exhibit.shown / FOLLOWED).write_bytes(data)
+            moving = moving_picture(work / exhibit.shown, width=960, milliseconds=100, quality=60)
+            (work / exhibit.shown / FOLLOWED).write_bytes(moving)
         shutil.copytree(work / exhibit.shown, out / exhibit.shown)
         parts.append(_entry(exhibit, out.name))
     return "\n".join(parts)
@@ -158,7 +159,7 @@ def _run(command: str, work: Path) -> None:
     line = [sys.executable, "-m", "dvrk_cmaes", *shlex.split(command)]
     ran = subprocess.run(line, cwd=work, capture_output=True, text=True, check=False)
     print(f": {monotonic() - began:.0f} s", file=sys.stderr, flush=True)
-    if ran.returncode not in _DONE:
+    if ran.returncode not in (0, 3):  # ok and doubtful
         raise RuntimeError(f"dvrk-cmaes {command}: exit code {ran.returncode}\n{ran.stderr}")
 
 
