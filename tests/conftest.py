@@ -26,7 +26,7 @@ from hypothesis import settings
 
 from dvrk_cmaes import Body, Camera, load_instrument, read_camera
 
-settings.register_profile("steady", deadline=None, derandomize=True, max_examples=40)
+settings.register_profile("steady", deadline=None, derandomize=True, max_examples=25)
 settings.register_profile("many", settings.get_profile("steady"), max_examples=100)
 settings.load_profile("many" if os.environ.get("CI") == "true" else "steady")
 

@@ -134,19 +134,17 @@ def _recorded_before(folder: Path) -> Sequence[str]:
     return ["track", "session", "--out", "tracks", "--no-video", "--no-page"]
 
 
-def _masked(pixels: Callable[[Image], Image | str | bytes], name: str, *more: str) -> Callable[[Path], Sequence[str]]:
+def _masked(pixels: Callable[[Image], Image | bytes], *more: str) -> Callable[[Path], Sequence[str]]:
     """Return a function that writes a mask made of the demo's, of which the pose is estimated."""
 
     def write(folder: Path) -> Sequence[str]:
         made = pixels(np.asarray(cv2.imread(str(DEMO / "masks" / "0001.png"), cv2.IMREAD_GRAYSCALE), np.uint8))
-        if isinstance(made, str):
-            (folder / name).write_text(made)
-        elif isinstance(made, bytes):
-            (folder / name).write_bytes(made)
+        if isinstance(made, bytes):
+            (folder / "m.png").write_bytes(made)
         else:
-            cv2.imwrite(str(folder / name), made)
+            cv2.imwrite(str(folder / "m.png"), made)
         camera, joints = (str(DEMO / file) for file in ("camera.yaml", "joints.csv"))
-        return ["estimate", "--mask", name, "--camera", camera, "--joints", joints, "--frame", "0001", *more]
+        return ["estimate", "--mask", "m.png", "--camera", camera, "--joints", joints, "--frame", "0001", *more]
 
     return write
 
@@ -170,29 +168,6 @@ def _palette(mask: Image) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + header + palette + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
 
 
-def _runs(mask: Image) -> str:
-    """Return COCO's run lengths, not compressed."""
-    flat = (mask > 127).T.ravel()
-    ends = np.flatnonzero(np.diff(flat)) + 1
-    counts = np.diff(np.concatenate([[0], ends, [flat.size]])).tolist()
-    return json.dumps({"size": list(mask.shape), "counts": counts if not flat[0] else [0, *counts]})
-
-
-def _shapes(mask: Image) -> str:
-    """Return labelme's polygons of the mask's outline."""
-    contours, _ = cv2.findContours((mask > 127).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    points = (max(contours, key=cv2.contourArea)[:, 0] + 0.5).tolist()
-    shape = {"label": "tool", "points": points, "shape_type": "polygon"}
-    return json.dumps({"imageHeight": mask.shape[0], "imageWidth": mask.shape[1], "shapes": [shape]})
-
-
-def _data_set(mask: Image) -> str:
-    """Return COCO's data set of two images, of which one is the frame."""
-    images = [{"id": k, "file_name": f"frames/000{k}.png", "height": 480, "width": 640} for k in (0, 1)]
-    own = {"image_id": 1, "category_id": 7, "segmentation": json.loads(_runs(mask))}
-    return json.dumps({"images": images, "annotations": [own], "categories": [{"id": 7, "name": "needle driver"}]})
-
-
 def _stereo_session(unit: float) -> Callable[[Path], Sequence[str]]:
     """Return a function that writes a session of two cameras, 58 of a unit apart in metres."""
 
@@ -209,19 +184,6 @@ def _stereo_session(unit: float) -> Callable[[Path], Sequence[str]]:
         return ["inspect", "session"]
 
     return write
-
-
-def _eyes_of_one_frame(folder: Path) -> Sequence[str]:
-    """Write the camera_info of both eyes with the left one's frame, as ROS asks."""
-    session = _session(folder, ["0"], None)
-    for side, column in (("left", 0.0), ("right", -70.0 * 0.005)):
-        (session / "masks" / side).mkdir()
-        cv2.imwrite(str(session / "masks" / side / "0.png"), _small_mask())
-        info = {**CAMERA, "header": {"frame_id": "left_optical"}, "P": [*CAMERA["P"][:3], column, *CAMERA["P"][4:]]}
-        (session / f"{side}.yaml").write_text(yaml.safe_dump(info))
-    (session / "masks" / "0.png").unlink()
-    (session / "camera.yaml").unlink()
-    return ["inspect", "session"]
 
 
 # recordings
@@ -375,13 +337,6 @@ def _renamed_masks(word: str) -> Callable[[Path], Sequence[str]]:
 
 CASES: Final = (
     # readings of several arms
-    LabCase("two arms, mixed", _text("js.yaml", _state(_TWO_ARMS[::-1], _BOTH)), "PSM2, PSM1.*--only", (REFUSED,)),
-    LabCase(
-        "two arms, CSV",
-        _text("j.csv", f"time,{','.join(_TWO_ARMS)}\n0,{','.join(map(str, _BOTH))}\n"),
-        "--arm",
-        (REFUSED,),
-    ),
     LabCase(
         "arm and endoscope", _text("js.yaml", _state(_TWO_ARMS[:6] + _of_arm("ECM")[:4], _BOTH[:10])), r"yaw 5\.73 deg"
     ),
@@ -404,11 +359,6 @@ CASES: Final = (
     # messages without readings
     LabCase("only empty messages", _text("js.yaml", _state([], [])), "without positions", (REFUSED,)),
     LabCase(
-        "an empty message",
-        _text("js.yaml", _state([], []) + _state(ARM, VALUES, 101)),
-        "1 message without positions skipped",
-    ),
-    LabCase(
         "names without positions",
         _text("js.yaml", _state(ARM, []) + _state(ARM, VALUES, 101)),
         "1 message without positions",
@@ -419,11 +369,6 @@ CASES: Final = (
         "1 message without positions",
     ),
     # tables
-    LabCase(
-        "semicolons, decimal commas",
-        _text("j.csv", "time;yaw;pitch\n0,5;0,1;-0,2\n"),
-        r"yaw 5\.73 deg.*pitch -11\.46 deg",
-    ),
     LabCase("tabs", _text("j.csv", "time\tyaw\tpitch\n0.5\t0.1\t-0.2\n"), r"yaw 5\.73 deg"),
     LabCase("no header", _text("j.csv", "0.1,0.2,0.1,0.3,0.1,0.2\n0.1,0.2,0.1,0.3,0.1,0.2\n"), "--columns", (REFUSED,)),
     LabCase("no header, blanks", _text("j.csv", "1e-1 2e-1 1e-1 3e-1 1e-1 2e-1\n"), "--columns", (REFUSED,)),
@@ -448,17 +393,6 @@ CASES: Final = (
         r"times from 0\.000 to 0\.627 s",
     ),
     LabCase("two columns of times", _text("j.csv", "timestamp,stamp,yaw\n1,2,0.1\n"), "one called time", (REFUSED,)),
-    LabCase(
-        "rostopic echo -p",
-        _text(
-            "j.csv",
-            ",".join(["%time", "field.header.seq", *(f"field.name{k}" for k in range(6))])
-            + ","
-            + ",".join(f"field.position{k}" for k in range(6))
-            + f"\n1700000000500000000,1,{','.join(ARM)},{_CELLS}\n",
-        ),
-        r"yaw 5\.73 deg.*wrist_yaw 22\.92 deg.*times from 1700000000\.500",
-    ),
     LabCase(
         "PlotJuggler",
         _text(
@@ -519,12 +453,6 @@ CASES: Final = (
     LabCase("no joints.csv", _inspected(["0"], None), "readings 0.*readings: none"),
     # times
     LabCase(
-        "time goes back",
-        _tracked(["0", "1", "2"], "frame,time,yaw\n0,0.0,0.1\n1,0.1,0.1\n2,0.05,0.1\n"),
-        "frame 2.*clock",
-        (REFUSED,),
-    ),
-    LabCase(
         "whole seconds",
         _tracked([str(k) for k in range(6)], "frame,time,yaw\n" + "".join(f"{k},{k // 3},0.1\n" for k in range(6))),
         r"track\.frames_a_second",
@@ -532,16 +460,10 @@ CASES: Final = (
     ),
     LabCase("images from before the readings", _recorded_before, "3 frames: "),
     # cameras
-    LabCase("%YAML 1.0", _text("c.yaml", "%YAML 1.0\n---\n" + yaml.safe_dump(CAMERA)), "64 x 48 px"),
     LabCase("EndoVis", _text("c.txt", _ENDOVIS), r"EndoVis.*focal lengths 70\.500 and 70\.400"),
     LabCase(".mat", _text("c.mat", "MATLAB 5.0 MAT-file"), "MATLAB's .mat is not read: write fx", (REFUSED,)),
     LabCase(
         "dropped lens", _text("c.yaml", yaml.safe_dump({**CAMERA, "lens": [0.1]})), "lens: unknown field", (REFUSED,)
-    ),
-    LabCase(
-        "BOP",
-        _text("camera.json", json.dumps({"fx": 70.0, "fy": 71.0, "cx": 32.0, "cy": 24.0, "width": 64, "height": 48})),
-        "71.000 px",
     ),
     LabCase("nested", _text("c.yaml", yaml.safe_dump({"endoscope": {"left_eye": CAMERA}})), "64 x 48 px"),
     LabCase(
@@ -549,11 +471,6 @@ CASES: Final = (
         _text("c.yaml", yaml.safe_dump({**CAMERA, "K": [4.5, 0, 32, 0, 4.5, 24, 0, 0, 1]})),
         "millimetres",
         (REFUSED,),
-    ),
-    LabCase(
-        "mtx and dist",
-        _text("c.json", json.dumps({"mtx": _MATRIX, "dist": [[-0.1, 0, 0, 0, 0]], "width": 64, "height": 48})),
-        r"64 x 48 px, focal lengths 70\.000 and 71\.000 px.*-0\.1",
     ),
     LabCase(
         "size as OpenCV's and as NumPy's",
@@ -583,35 +500,20 @@ CASES: Final = (
     LabCase("two external cameras, mm", _stereo_session(1.0), "58 mm apart"),
     LabCase("two external cameras, m", _stereo_session(1e-3), "58 mm apart"),
     LabCase("eyes in one place", _stereo_session(1e-6), "expected 0.0005 to 0.5 m", (REFUSED,)),
-    LabCase("eyes of one frame_id", _eyes_of_one_frame, "stereo: ROS camera_info"),
     # masks
-    LabCase("palette", _masked(_palette, "m.png", "--label", "1"), "wrist_pitch, deg"),
+    LabCase("palette", _masked(_palette, "--label", "1"), "wrist_pitch, deg"),
     LabCase(
         "palette, no label",
-        _masked(lambda m: np.where(m > 127, 1, 0).astype(np.uint8), "m.png"),
+        _masked(lambda m: np.where(m > 127, 1, 0).astype(np.uint8)),
         "--label any",
         (REFUSED,),
     ),
-    LabCase(
-        "any value",
-        _masked(lambda m: np.where(m > 127, 7, 0).astype(np.uint8), "m.png", "--label", "any"),
-        "wrist_pitch, deg",
-    ),
-    LabCase("colours", _masked(_coloured, "m.png", "--label", "#00ff00"), "wrist_pitch, deg"),
-    LabCase("colours, no label", _masked(_coloured, "m.png"), "--label", (REFUSED,)),
-    LabCase("colours, by value", _masked(_coloured, "m.png", "--label", "1"), "#00ff00", (REFUSED,)),
-    LabCase("16 bits", _masked(lambda m: (m > 127).astype(np.uint16) * 65535, "m.png"), "--label any", (REFUSED,)),  # type: ignore[arg-type,return-value]
-    LabCase("transparent", _masked(lambda m: np.dstack([m, m, m, m]), "m.png"), "save it without", (REFUSED,)),
-    LabCase("inverted", _masked(lambda m: 255 - m, "m.png"), "inverted.*--label 0", (REFUSED,)),
-    LabCase("COCO's runs", _masked(_runs, "m.json"), "wrist_pitch, deg"),
-    LabCase("COCO's data set", _masked(_data_set, "m.json", "--label", "needle driver"), "wrist_pitch, deg"),
-    LabCase("labelme's polygons", _masked(_shapes, "m.json"), "wrist_pitch, deg"),
+    LabCase("colours, no label", _masked(_coloured), "--label", (REFUSED,)),
+    LabCase("colours, by value", _masked(_coloured, "--label", "1"), "#00ff00", (REFUSED,)),
+    LabCase("16 bits", _masked(lambda m: (m > 127).astype(np.uint16) * 65535), "--label any", (REFUSED,)),  # type: ignore[arg-type,return-value]
+    LabCase("transparent", _masked(lambda m: np.dstack([m, m, m, m])), "save it without", (REFUSED,)),
+    LabCase("inverted", _masked(lambda m: 255 - m), "inverted.*--label 0", (REFUSED,)),
     # recordings
-    LabCase(
-        "stamps stand still",
-        _bag(_stamped(_recorded(), "Image", lambda _: BEGIN)),
-        "those of recording.*do not advance",
-    ),
     LabCase(
         "stamps of pairs",
         _bag(_stamped(_recorded(8), "Image", lambda own: BEGIN + (own.time - BEGIN) // STEP // 2 * 2 * STEP)),
@@ -622,16 +524,9 @@ CASES: Final = (
         _bag(_stamped(_recorded(8), "Image", lambda own: own.time - STEP * (own.time == BEGIN + 3 * STEP))),
         "1 images have the time",
     ),
-    LabCase(
-        "reindexed",
-        _bag(_recorded(), metadata=lambda text: re.sub("storage_identifier: .*", 'storage_identifier: ""', text)),
-        "6 frames of 6",
-    ),
     LabCase("no metadata", _bag(_recorded(), metadata=lambda _: None), "6 frames of 6"),
     LabCase("mono16", _bag(_recorded(encoding="mono16")), "image_proc", (REFUSED,)),
     LabCase("uyvy", _bag(_recorded(encoding="uyvy")), "6 frames of 6"),
-    LabCase("yuyv", _bag(_recorded(encoding="yuyv")), "6 frames of 6"),
-    LabCase("K of zeros, in a recording", _bag([_info(k=np.zeros(9)), *_recorded()[1:]]), "6 frames of 6"),
     LabCase(
         "unknown lens",
         _bag([_info(distortion_model="wavy"), *_recorded()[1:]]),

@@ -76,22 +76,6 @@ def test_nothing_is_written_or_removed_through_a_link(tmp_path: Path, place: str
     assert os.path.islink(link)
 
 
-def test_output_folder_may_be_a_link_that_was_typed(tmp_path: Path) -> None:
-    (tmp_path / "disk").mkdir()
-    os.symlink(tmp_path / "disk", tmp_path / "out")
-    write(tmp_path / "out")
-    assert listed(tmp_path / "disk") == set(FILES)
-
-
-def test_files_of_the_user_stay(tmp_path: Path) -> None:
-    write(tmp_path / "out")
-    mine = [tmp_path / "out" / name for name in ("notes.txt", "frames/mine.json", "frames/picture.jpg")]
-    for path in mine:
-        path.write_text("mine")
-    write(tmp_path / "out", "y", replaces=True)
-    assert {path.read_text() for path in mine} == {"mine"}
-
-
 USERS: dict[str, Callable[[Path], None]] = {
     "write": lambda out: write_text(out / "summary.json", "y"),
     "remove": lambda out: remove(out / "summary.json"),
@@ -194,16 +178,6 @@ def test_folder_that_is_replaced_by_a_link_meanwhile_is_not_written_to(tmp_path:
         (tmp_path / "moved").rename(folder)
         write_text(folder / "b.txt", "b")
     assert listed(folder) == {"b.txt"}
-
-
-def test_second_command_is_refused_until_the_first_one_ends(tmp_path: Path) -> None:
-    with (
-        output(tmp_path / "results", "batch"),
-        pytest.raises(DvrkCmaesError, match="another command is writing there"),
-        ThreadPoolExecutor(1) as other,
-    ):
-        other.submit(write, tmp_path / "results").result()
-    write(tmp_path / "results")
 
 
 def test_folder_whose_files_were_not_written_yet_is_that_of_the_command(tmp_path: Path) -> None:

@@ -107,8 +107,9 @@ def test_tf_line_is_alone_on_stdout(calibrated: Path, base: np.ndarray) -> None:
 
 
 def test_tables_of_poses(calibrated: Path, tmp_path: Path) -> None:
-    """Each frame's camera_from_root, in BOP's table, in that of this program and along TUM's trajectory."""
+    """Each frame's camera_from_root, in BOP's table, in that of this program, along TUM's trajectory and in Python."""
     found = results(calibrated)
+    assert [*read_results(calibrated).frames] == [*found]
     for to in ("bop", "csv"):
         export(calibrated, to, tmp_path)
     export(calibrated, "tum", tmp_path, "--times", times(tmp_path, 100.0, 1 / 30))
@@ -123,6 +124,9 @@ def test_tables_of_poses(calibrated: Path, tmp_path: Path) -> None:
         same(row["t"].split(), expected[:3, 3] * 1e3, 1e-3)
         numbers = [value for name, value in named.items() if re.fullmatch(r".*root.*_[xyz]_mm|[xyz]_mm", name)]
         same(numbers[:3], expected[:3, 3] * 1e3, 1e-3)
+        read = read_result(calibrated / "frames" / f"{frame}.json")
+        same(read.camera_from_root, expected, 1e-12)
+        assert (read.to_dict()["joints"], read.status) == (result["joints"], result["status"])
         time, *numbers_of_tum = map(float, line.split())
         assert time == pytest.approx(100 + int(frame) / 30, abs=1e-6)
         assert distance(pose_of_numbers(numbers_of_tum), expected) < (1e-3, 1e-3)
@@ -175,16 +179,6 @@ def test_cameras_are_read_back(calibrated: Path, tmp_path: Path) -> None:
     export(calibrated, "camera", tmp_path)
     for name in ("ros/camera.yaml", "opencv/camera.xml", "plain/camera.yaml"):
         same(read_camera(tmp_path / name, size=(640, 480)).matrix, read_camera(DEMO / "camera.yaml").matrix)
-
-
-def test_results_are_read_back_in_python(calibrated: Path) -> None:
-    folder = read_results(calibrated)
-    assert folder
-    for frame, document in results(calibrated).items():
-        result = read_result(calibrated / "frames" / f"{frame}.json")
-        same(result.camera_from_root, matrix(document, "camera_from_root"), 1e-12)
-        assert result.to_dict()["joints"] == document["joints"]
-        assert result.status == document["status"]
 
 
 def test_results_of_another_program_are_read(tmp_path: Path) -> None:

@@ -148,8 +148,8 @@ READINGS: dict[str, tuple[str, str, dict[str, object]]] = {
     ),
     "rostopic echo -p": (
         "measured.csv",
-        f"%time,{','.join(f'field.name{k}' for k in range(6))},{','.join(f'field.position{k}' for k in range(6))}\n"
-        f"100000000000,{','.join(NAMES)},{ROW}\n",
+        f"%time,field.header.seq,{','.join(f'field.{name}{k}' for name in ('name', 'position') for k in range(6))}\n"
+        f"100000000000,1,{','.join(NAMES)},{ROW}\n",
         {"time": 100},
     ),
     "measured_q": (
@@ -209,8 +209,8 @@ def test_masks_of_every_kind_give_the_same_result(tmp_path: Path, quick: Path) -
     colours[:9, :9] = (255, 0, 0)
     annotation = {"id": 1, "image_id": 1, "category_id": 7, "segmentation": runs(MASK), "iscrowd": 1}
     size = {"width": 640, "height": 480}
-    image = {"id": 1, "file_name": "0001.png", **size}
-    data_set = {"images": [image], "annotations": [annotation], "categories": [{"id": 7, "name": "tool"}]}
+    images = [{"id": k, "file_name": f"000{k}.png", **size} for k in (0, 1)]
+    data_set = {"images": images, "annotations": [annotation], "categories": [{"id": 7, "name": "tool"}]}
     other = bits.copy()
     other[470:, :30] = 255  # a second tool
     (outline, *_), _ = cv2.findContours(bits, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)

@@ -96,30 +96,24 @@ def test_no_result_of_a_causal_run_uses_later_frames(kept: Kept, one: Path, tmp_
                 assert row[key] == whole[frame][key], (frame, key)
 
 
-def test_known_calibration_is_used_from_the_first_frame_and_gives_the_same_again(
+def test_known_calibration_is_used_from_the_first_frame_and_after_a_loss(
     one: Path, calibration: Path, tmp_path: Path
 ) -> None:
-    found = []
-    for name in ("first", "again"):
-        run("track", one, "--session", calibration, "--causal", "--out", tmp_path / name, *PLAIN)
-        found.append({frame: row | {"seconds": 0} for frame, row in tracks(tmp_path / name).items()})
-    assert found[0] == found[1]
-    assert check(found[0], truth(one)) < 0.3
-    assert np.mean([row["status"] == "ok" for row in found[0].values()]) > 0.9
-
-
-def test_instrument_is_lost_and_found_again(one: Path, calibration: Path, tmp_path: Path) -> None:
     shutil.copytree(one, tmp_path / "gap")
-    for k in range(16, 22):
-        path = tmp_path / "gap" / "masks" / f"{k:04d}.png"
-        cv2.imwrite(str(path), np.zeros((240, 320), np.uint8))
-    ran = run("track", tmp_path / "gap", "--session", calibration, "--causal", "--out", tmp_path / "out", *PLAIN)
-    found, true = tracks(tmp_path / "out"), truth(one)
-    assert {found[f"{k:04d}"]["status"] for k in range(16, 22)} == {"lost"}
-    assert all(found[f"{k:04d}"]["reasons"] for k in range(16, 22))
-    assert "6 frames (0016 to 0021)" in ran.out
-    after = [f"{k:04d}" for k in range(28, 32)]
-    assert check(found, true, frames=after) < 1.5
+    lost = [f"{k:04d}" for k in range(16, 22)]
+    for frame in lost:
+        cv2.imwrite(str(tmp_path / "gap" / "masks" / f"{frame}.png"), np.zeros((240, 320), np.uint8))
+    words = ("track", tmp_path / "gap", "--session", calibration, "--causal", *PLAIN)
+    first, _ = (run(*words, "--out", tmp_path / name) for name in ("first", "again"))
+    found, same = ({k: v | {"seconds": 0} for k, v in tracks(tmp_path / name).items()} for name in ("first", "again"))
+    assert found == same
+    before, after = [*found][:16], [*found][28:]
+    assert check(found, truth(one), frames=before) < 0.3
+    assert np.mean([found[frame]["status"] == "ok" for frame in before]) > 0.9
+    assert {found[frame]["status"] for frame in lost} == {"lost"}
+    assert all(found[frame]["reasons"] for frame in lost)
+    assert "6 frames (0016 to 0021)" in first.out
+    assert check(found, truth(one), frames=after) < 1.5
 
 
 def test_images_of_something_else_are_not_ok_and_no_keyframes(kept: Kept, tmp_path: Path) -> None:
