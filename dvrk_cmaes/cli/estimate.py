@@ -228,6 +228,7 @@ def estimate(
     given.check(segmented=segment == SegmentOptions(), uncalibrated=camera.camera is None)
     from dvrk_cmaes.estimation.one_tool import FrameMethod
     from dvrk_cmaes.frames.frame import read_frame
+    from dvrk_cmaes.frames.images import looks_like_mask
     from dvrk_cmaes.results.folder import mask_path, overlay_path, result_path
     from dvrk_cmaes.runs.frame import run_frame
 
@@ -240,6 +241,8 @@ def estimate(
         check_files(out, "estimate", [path(Path(), files.name).as_posix() for path in kinds])
     camera_file = camera.read(files)
     data = read_frame(files, camera_file.rig)
+    if given.mask is None and data.image is not None and looks_like_mask(data.image):
+        warn(f"{given.image}: it looks like a mask: give it by --mask")
     body = instrument.load()
     if not given.joints:
         note(f"no --joints, as with --joints none: {TWIN}")

@@ -21,7 +21,7 @@ from dvrk_cmaes.instrument.urdf_xml import read_robot
 from dvrk_cmaes.instrument.visuals import link_triangles
 from dvrk_cmaes.io.arguments import PATH, check_type
 from dvrk_cmaes.io.files import bundled_path
-from dvrk_cmaes.io.short_text import listed
+from dvrk_cmaes.io.short_text import listed, no_folder
 
 #: Default name of the link whose pose is estimated: the one at the distal end of the shaft.
 DEFAULT_ROOT = "roll_link"
@@ -50,6 +50,8 @@ def _urdf_path(source: str | Path, folders: Iterable[str | Path]) -> Path:
     if path.is_file():
         return path
     if name.isdecimal() and searched:
+        for folder in (folder for folder in searched if not Path(folder).is_dir()):
+            raise InputError(f"{folder}: {no_folder(folder)}; expected a folder with URDFs, of which {source} is one")
         found = [urdf for folder in searched for urdf in sorted(Path(folder).rglob("*.urdf"))]
         fitting = [urdf for urdf in found if name in urdf.stem]
         if len(fitting) == 1:

@@ -28,7 +28,7 @@ from tornado.netutil import bind_sockets
 from tornado.web import Application
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
-from dvrk_cmaes import Session, read_session
+from dvrk_cmaes import DvrkCmaesError, Session, read_session
 
 BEGIN = 1_795_000_000  # s, the time of the first image
 RATE = 30.0  # images a second of a session without times
@@ -259,6 +259,6 @@ def main(folder: str, port: int = 9090) -> None:
 if __name__ == "__main__":
     try:
         main(sys.argv[1], *map(int, sys.argv[2:3]))
-    except (IndexError, ValueError, OSError) as error:
+    except (IndexError, ValueError, OSError, DvrkCmaesError) as error:
         print(f"expected a session folder with readings, and a port that is free: {error}", file=sys.stderr)
         sys.exit(2)
