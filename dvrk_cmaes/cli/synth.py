@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.synth.session import SessionPlan
 
 _MOST_FRAMES = 100_000
-_BASELINES = 0.001, 0.05  # m
+_BASELINE = 0.0053  # m, between the eyes
 
 
 @options(group=OUTPUT)
@@ -36,14 +36,9 @@ class SynthOptions:
     lag
         Lag of a video's images behind its readings, in seconds or frames, such as 0.13 or 4frames; that of the level by
         default.
-    cables
-        Errors of a video's readings. measured: the joints follow their readings by the cables of a real arm, with
-        coupling, play and wander. independent: offset, play and drift of each joint by itself. By default measured at
-        the levels medium and hard.
     stereo
-        Two eyes: masks/left, masks/right and so on, left.yaml and right.yaml. The truth is in the left camera.
-    baseline
-        Distance of the two eyes, metres.
+        Two eyes, 5.3 mm apart: masks/left, masks/right and so on, left.yaml and right.yaml. The truth is in the left
+        camera.
     arms
         2: two arms whose tools cross, up to 30 % of a tool hidden by the other: masks of labels, a session.toml,
         joints_ARM.csv and golden_ARM.json of each arm; alone/ARM has the masks of each tool without the other. Of
@@ -66,9 +61,7 @@ class SynthOptions:
     motion: Literal["free", "rcm", "video"] = "rcm"
     frames: Whole = 10
     lag: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
-    cables: Literal["independent", "measured"] | None = None
     stereo: Flag = False
-    baseline: float = 0.0053
     arms: Literal[1, 2] = 1
     seed: SeedOption = 0
     images: bool = True
@@ -79,17 +72,11 @@ class SynthOptions:
         """Raise an InputError for values that are not valid, or do not fit together."""
         if not 1 <= self.frames <= _MOST_FRAMES:
             raise InputError(f"--frames: expected 1 to {_MOST_FRAMES}, got {self.frames}")
-        for option, given in (
-            ("--lag", self.lag is not None),
-            ("--cables", self.cables is not None),
-            ("--ecm", self.ecm),
-        ):
+        for option, given in (("--lag", self.lag is not None), ("--ecm", self.ecm)):
             if given and self.motion != "video":
                 raise InputError(f"{option}: expected it with --motion video only, got --motion {self.motion}")
         if self.mp4 and (self.motion != "video" or not self.images or self.stereo):
             raise InputError("--mp4: expected it with --motion video, --images and one eye only")
-        if not _BASELINES[0] <= self.baseline <= _BASELINES[1]:
-            raise InputError(f"--baseline: expected {_BASELINES[0]} to {_BASELINES[1]} m, got {self.baseline:g}")
         if self.arms > 1 and (self.motion == "free" or (self.stereo and self.motion == "rcm")):
             raise InputError("--arms: expected --motion video, or --motion rcm and one eye, with two arms")
 
@@ -121,9 +108,8 @@ class SynthOptions:
             lag=None
             if self.lag is None
             else FRAMES_A_SECOND * Lag.parse("--lag", self.lag).in_seconds(FRAMES_A_SECOND),
-            cables=self.cables
-            or ("measured" if self.motion == "video" and self.level in ("medium", "hard") else "independent"),
-            baseline=self.baseline if self.stereo else None,
+            cables="measured" if self.motion == "video" and self.level in ("medium", "hard") else "independent",
+            baseline=_BASELINE if self.stereo else None,
             tool=_written(instrument),
             steered=self.ecm,
         )
@@ -147,10 +133,11 @@ def synth(
     (keypoints.csv), simulated detections of painted markers (markers.csv), the truth (golden.json) and all parameters
     (synth.json).
 
-    With --motion video the frames are consecutive, 30 a second, of an arm that moves smoothly. Readings have the errors
-    of cables, see --cables; a shadow is taken for the instrument for about a second at a time; images are late at the
-    levels medium (1.5 frames) and hard (2.6), where another shaft and tissue pass before the instrument, too; at the
-    level hard it leaves the view and comes back. Masks, images, readings and the truth are written. Images show
+    With --motion video the frames are consecutive, 30 a second, of an arm that moves smoothly. Readings have offset,
+    play and drift of each joint, at the levels medium and hard coupling, play and wander of a real arm's cables; a
+    shadow is taken for the instrument for about a second at a time; images are late at the levels medium (1.5 frames)
+    and hard (2.6), where another shaft and tissue pass before the instrument, too; at the level hard it leaves the view
+    and comes back. Masks, images, readings and the truth are written. Images show
     the shadow on moving tissue that a mask takes for the instrument, and what passes before it; from easy to hard the
     tissue moves more, noise, motion blur and compression grow, and blood and smoke are added.
 

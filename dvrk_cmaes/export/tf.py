@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import replace
 
-from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.request import Exported, ExportRequest
 from dvrk_cmaes.geometry import Float64, quaternion_xyzw
 
 
-def publisher_command(camera_from_base: Float64, names: FrameNames) -> str:
+def publisher_command(parent_from_child: Float64, parent: str, child: str) -> str:
     """Return the shell command, one line, that publishes the transform (translation in m, quaternion xyzw)."""
-    names.check_tf()
-    values = [*camera_from_base[:3, 3].tolist(), *quaternion_xyzw(camera_from_base)]
+    values = [*parent_from_child[:3, 3].tolist(), *quaternion_xyzw(parent_from_child)]
     options = (
         f"--{name} {value:.12f}" for name, value in zip(("x", "y", "z", "qx", "qy", "qz", "qw"), values, strict=True)
     )
@@ -21,7 +18,7 @@ def publisher_command(camera_from_base: Float64, names: FrameNames) -> str:
         (
             "ros2 run tf2_ros static_transform_publisher",
             *options,
-            f"--frame-id {shlex.quote(names.camera)} --child-frame-id {shlex.quote(names.base)}",
+            f"--frame-id {shlex.quote(parent)} --child-frame-id {shlex.quote(child)}",
         )
     )
 
@@ -33,12 +30,13 @@ def exported(request: ExportRequest) -> Exported:
     the endoscope's tip, and the bases of the session's arms in that of the endoscope's arm.
     """
     base, names = request.source.base(), request.names
-    transforms = {names.arm: (base.camera_from_base, names)}
+    names.check_tf()
+    transforms = {names.arm: (base.camera_from_base, names.camera, names.base)}
     if base.tip_from_camera is not None and base.ecm_from_base is not None:
+        bases = {names.arm: base.ecm_from_base, **base.others}
         transforms = {
-            "ECM-tip": (base.tip_from_camera, replace(names, camera="ECM_tip", base=names.camera)),
-            names.arm: (base.ecm_from_base, replace(names, camera="ECM_base")),
-            **{arm: (other, FrameNames(arm, "ECM_base", f"{arm}_base")) for arm, other in base.others.items()},
+            "ECM-tip": (base.tip_from_camera, "ECM_tip", names.camera),
+            **{arm: (pose, "ECM_base", f"{arm}_base") for arm, pose in bases.items()},
         }
     texts = {f"{name}-static-transform.sh": f"{publisher_command(*each)}\n" for name, each in transforms.items()}
     return Exported.of_texts(texts, base=base)
