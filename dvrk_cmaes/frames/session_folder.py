@@ -440,7 +440,7 @@ def _session_frames(
     if apart:
         remarks.append(f"paired in order with as many files {listed(like, 1)}: {' and '.join(apart)}")
     if unused := [*_unused(root, masks=not masks, joints=joints is not None and not files)]:
-        remarks.append(f"not read: {listed(unused)}: rename it to masks or joints.csv, or name it in session.toml")
+        remarks.append(f"not read: {listed(unused)}: session.toml can name masks and joints, or rename it")
     others: dict[str, Mapping[str, object]] = dict(zip(_TABLES, (times, tips, boxes), strict=False))
     others["ignore"] = of_views[0][2]
     if lost := [each for each, of_each in others.items() if of_each and not {*names} & of_each.keys()]:

@@ -22,14 +22,13 @@ EvidenceKind = Literal["masks", "images"]
 def used_session(session: Session, evidence: EvidenceKind | None) -> tuple[Session, EvidenceKind | None]:
     """Return a session with the masks and images that are used, and the evidence that a tracker is to use.
 
-    Without ``evidence`` it is the masks of frames that have one, and the images of the others. Where no masks are used,
-    the camera is that of the images' size.
+    Without ``evidence`` it is the masks of frames that have one, and the images of the others. The cameras are those of
+    the masks' size, or of the images' where no masks are used.
 
     Raises
     ------
     InputError
-        The session has no masks, or no images, where they are asked for; the images have another aspect than the
-        camera's.
+        The session has no masks, or no images, where they are asked for; they have another aspect than the camera's.
     """
     masked = any(files.has_mask for files in session.frames)
     shown = any(part.has_image for files in session.frames for part in (files, *files.others.values()))
@@ -38,10 +37,19 @@ def used_session(session: Session, evidence: EvidenceKind | None) -> tuple[Sessi
     if evidence == "images" and not shown:
         raise InputError(f"{session.folder}: --evidence {evidence}: expected images or video.mp4, got neither")
     if evidence is None and all(files.has_mask for files in session.frames):
-        return session, "masks"
-    if evidence == "images" or not masked:
-        return _by_images(session), "images"
-    return session, evidence
+        evidence = "masks"
+    elif evidence == "images" or not masked:
+        evidence = "images"
+        session = replace(session, frames=tuple(files.changed(mask=None) for files in session.frames))
+    notes, fitted = session.notes, {}
+    for view in session.rig.views:
+        there = (files_of_views(files, session.rig).get(view.name) for files in session.frames)
+        first = next((own for own in there if own is not None), None)
+        if first is not None:
+            what, path = ("mask", first.mask) if first.mask is not None else ("image", first.picture)
+            fitted[view.name], note = match_size(view.camera, first.size[::-1], what, f"{path}: ")
+            notes = notes if note is None else (*notes, note)
+    return replace(session, rig=session.rig.with_cameras(fitted), notes=notes), evidence
 
 
 def with_increasing_times(session: Session) -> tuple[Session, tuple[str, ...]]:
@@ -71,19 +79,6 @@ def with_increasing_times(session: Session) -> tuple[Session, tuple[str, ...]]:
             f"{len(doubled)} of {len(timed)} frames{count}"
         )
     return replace(session, frames=tuple(files for files in session.frames if files.name not in doubled)), doubled
-
-
-def _by_images(session: Session) -> Session:
-    """Return a session without its masks, with cameras of the images' size."""
-    frames = tuple(files.changed(mask=None) for files in session.frames)
-    notes, fitted = session.notes, {}
-    for view in session.rig.views:
-        there = (files_of_views(files, session.rig).get(view.name) for files in frames)
-        first = next((own for own in there if own is not None), None)
-        if first is not None:
-            fitted[view.name], note = match_size(view.camera, first.size[::-1], "image")
-            notes = notes if note is None else (*notes, note)
-    return replace(session, frames=frames, rig=session.rig.with_cameras(fitted), notes=notes)
 
 
 def files_of_views(files: FrameFiles, rig: Rig) -> dict[str, FrameFiles]:
