@@ -25,8 +25,8 @@ from dvrk_cmaes.joints.rows import number_of
 
 EXPECTED = "a mask as JSON (COCO's run lengths or polygons, or labelme's shapes)"
 ROBOFLOW = re.compile(r"_(?:jpe?g|png)\.rf\.[0-9a-zA-Z]+$")
-FILES = ("masks.json", "annotations.json")
-"""Names of a session's file with the masks of all of its frames."""
+FILES = ("masks.json", "annotations.json", "_annotations.coco.json", "annotations/instances_default.json")
+"""Names of a session's file with the masks of all of its frames, the last two those of Roboflow and CVAT."""
 
 
 def read_coco_mask(path: Path, name: str | None, categories: frozenset[str] | None) -> Bool:

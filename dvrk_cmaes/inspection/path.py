@@ -23,7 +23,7 @@ from dvrk_cmaes.camera.fields import WRONG, Side
 from dvrk_cmaes.camera.files import read_intrinsics
 from dvrk_cmaes.camera.rig import Rig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.coco_mask import frames_of
+from dvrk_cmaes.frames.coco_mask import FILES, frames_of
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.images import MOST_LABELS, THRESHOLD, looks_like_mask, read_ignore, read_image, read_mask
 from dvrk_cmaes.frames.keypoints import read_boxes, read_keypoints
@@ -426,7 +426,7 @@ def _inspect_folder(path: Path, options: Options) -> Finding:
     videos = [file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and not others.search(file.name)]
     if len(videos) == 1 and not pictures and not (path / "images").exists():
         return _inspect_video(videos[0])
-    subfolders = any((path / name).exists() for name in ("masks", "images", "session.toml", "camera.yaml"))
+    subfolders = any((path / name).exists() for name in ("masks", "images", "session.toml", "camera.yaml", *FILES))
     if pictures and not subfolders and not is_published_layout(path):
         return _inspect_pictures(path, pictures)
     return _inspect_session(path, options)

@@ -307,3 +307,15 @@ def test_images_of_another_aspect_are_refused_with_the_key_of_session_toml_that_
     assert "of a session, crop or stretch of [camera] in session.toml)" in ran.err
     (folder / "session.toml").write_text("[camera]\nstretch = true\n")
     assert run("inspect", folder).code == 0
+
+
+@pytest.mark.parametrize("name", ["masks.json", "_annotations.coco.json", "annotations/instances_default.json"])
+def test_data_set_as_annotators_export_it_has_the_masks_of_the_images(tmp_path: Path, name: str) -> None:
+    (tmp_path / "images").mkdir()
+    (tmp_path / "camera.yaml").write_text(SMALL)
+    for number in range(FRAMES - 1):
+        cv2.imwrite(str(tmp_path / "images" / f"{number:05d}.jpg"), mask(number))
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    given_masks(tmp_path, "COCO").rename(tmp_path / name)
+    session = read_session(tmp_path)
+    assert [int(read_frame(files, session.camera).mask.sum()) > 0 for files in session.frames] == [True] * (FRAMES - 1)
