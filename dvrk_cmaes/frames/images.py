@@ -125,10 +125,11 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
 
 def looks_like_mask(pixels: NDArray[np.uint8]) -> bool:
     """Whether a picture (H, W, 3) has few colours, as labels have, or is grey and almost only black and white."""
-    colours, grey = len(np.unique(pixels.reshape(-1, 3) @ _PLACES)), pixels[:, :, 0]
-    if grey.max() <= THRESHOLD or not (pixels == pixels[:, :, :1]).all():
-        return 1 < colours <= MOST_LABELS
-    return bool(np.mean((grey < _SOFT) | (grey > 255 - _SOFT)) >= _SHARP_SHARE) or colours <= MOST_LABELS
+    if not (pixels == pixels[:, :, :1]).all():
+        return len(np.unique(pixels.reshape(-1, 3) @ _PLACES)) <= MOST_LABELS
+    counts = np.bincount(pixels[:, :, 0].ravel(), minlength=256)
+    sharp = counts[:_SOFT].sum() + counts[-_SOFT:].sum() >= _SHARP_SHARE * counts.sum()
+    return bool((sharp and counts[THRESHOLD + 1 :].any()) or 1 < np.count_nonzero(counts) <= MOST_LABELS)
 
 
 def match_size(
