@@ -316,9 +316,6 @@ class SessionConfig:
     insertion_offset_mm, roll_offset_deg
         Standard deviations of the offsets of insertion and roll. Those of the instrument's joints are the standard
         deviations of their readings, ``readings``.
-    loosened
-        Factor on the standard deviations of the predicted poses in the first of four rounds; its square root in
-        the second one.
     turn_deg
         Rotation about the shaft, in both directions, of additional starting poses of frames that disagree.
     cauchy
@@ -355,7 +352,6 @@ class SessionConfig:
     slack_deg: float = 0.1
     insertion_offset_mm: float = 0.5
     roll_offset_deg: float = 20.0
-    loosened: float = 4.0
     turn_deg: float = 30.0
     cauchy: float = 0.25
     largest_misfit: float = 12.0
@@ -446,7 +442,8 @@ REMOVED = {
     "search.unread_share": "see search.uniform_joints_share",
     "session.arm_growth": "see session.arm_std_factor",
     "session.cable_growth": "see session.cable_std_factor",
-    "session.rounds": "frames and session are solved in four rounds",
+    "session.rounds": "frames and session are solved in three rounds",
+    "session.loosened": "frames are fitted with what their session expects as it is, in all rounds",
     "session.masks_again": "masks stay as `batch` found them",
     "track.modes": "the most probable mode is followed",
     "track.points": "masks are found in images, and all of their contour counts",

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.special import softmax
 
 from dvrk_cmaes.camera import Camera
@@ -286,11 +287,7 @@ class Calibration:
     @property
     def information(self) -> Float64:
         """Information matrix (K, K) of the prior."""
-        out = np.zeros((self.own + len(self.further),) * 2)
-        for block in self.blocks:
-            place = self.place(block.name)
-            out[place, place] = block.information
-        return out
+        return np.asarray(block_diag(*(block.information for block in self.blocks)))
 
     @property
     def predicted(self) -> tuple[PredictedBlock, ...]:
@@ -314,12 +311,9 @@ class Calibration:
 
     def place(self, name: str) -> slice:
         """Return where a block is among the components of a step."""
-        start = 0
-        for block in self.blocks:
-            if block.name == name:
-                return slice(start, start + len(block.std))
-            start += len(block.std)
-        raise KeyError(name)
+        ends = np.cumsum([len(block.std) for block in self.blocks]).tolist()
+        ((end, own),) = ((end, block) for end, block in zip(ends, self.blocks, strict=True) if block.name == name)
+        return slice(end - len(own.std), end)
 
     def changed(self, step: Float64) -> Calibration:
         """Return the calibration after a step (K,)."""

@@ -251,10 +251,10 @@ class SessionModel:
         out[:, 6:, 6:] += joint[:, :, None] * np.eye(count)
         return np.asarray(out)
 
-    def priors(self, calibration: Calibration, *, scale: float = 1.0) -> list[Expected]:
-        """Return the prior of each frame's pose and joints; ``scale`` is a factor on its standard deviations."""
+    def priors(self, calibration: Calibration) -> list[Expected]:
+        """Return the prior of each frame's pose and joints."""
         predicted = self.predict(calibration)
-        information = np.linalg.inv(self.covariance(calibration) * scale**2)
+        information = np.linalg.inv(self.covariance(calibration))
         return [Expected(predicted[k], of_frame) for k, of_frame in enumerate(information)]
 
     def subset(self, index: Sequence[int] | NDArray[np.integer]) -> SessionModel:

@@ -50,7 +50,7 @@ from dvrk_cmaes.pose.expected_error import file_covariance
 TESTED: Final[tuple[MakeBlock, ...]] = (PartSizes, WholeSize, Lens)
 """What makes the blocks for which every session is tested besides camera and margin."""
 
-_ROUNDS = 4  # in which frames and blocks are estimated in turn
+_ROUNDS = 3  # in which frames and blocks are estimated in turn
 _NEAR = 1.0  # standard deviations per parameter, by which fits move to where the last solution expects them
 _HELD = 1e-3  # of the standard deviations of what is known of a camera that is held at its file
 _MOVED_SHARE = 0.1  # of the frames, that agree only if the session is cut where its base moved
@@ -178,9 +178,8 @@ def _with_common_endoscope(arms: Arms) -> Arms:
 def solved(arms: Arms) -> Arms:
     """Alternate between fitting the frames of all arms and estimating the blocks that they share.
 
-    In the first two rounds the standard deviations of predictions are widened. Before the last one, whose fits are the
-    results, the margin of the masks is estimated, or the camera, where it is to be refined. At the end all is solved
-    once more from the fits of the last round.
+    Before the last round, whose fits are the results, the margin of the masks is estimated, or the camera, where it is
+    to be refined. At the end all is solved once more from the fits of the last round.
 
     Raises
     ------
@@ -194,10 +193,8 @@ def solved(arms: Arms) -> Arms:
     for number in range(1, _ROUNDS + 1):
         for arm in arms:
             arm.setup.progress(f"round {number} of {_ROUNDS}", len(arm.frames))
-        scale = setup.config.session.loosened ** max(1 - (number - 1) / 2, 0.0)
         last = number == _ROUNDS
-        arms = [_fitted(arm, scale, last=last) for arm in arms]
-        arms = _estimated(arms, keep_all=scale != 1.0, last=last)
+        arms = _estimated([_fitted(arm, last=last) for arm in arms], last=last)
         if number == _ROUNDS - 1 or (setup.refine_camera and not last):
             arms = _with_seen(arms, last=number == _ROUNDS - 1)
     found, out = solve_arms([arm.outlines() for arm in arms]), []
@@ -214,13 +211,13 @@ def _with_evidence(arm: ArmSession) -> ArmSession:
     return replace(arm, stored=tuple(arm.setup.run(gather_task, tasks)))
 
 
-def _fitted(arm: ArmSession, scale: float, *, last: bool) -> ArmSession:
+def _fitted(arm: ArmSession, *, last: bool) -> ArmSession:
     """Fit the frames of an arm in a round, each from its starts.
 
     A frame without any keeps the linearisation of its outline, whose minimum is its fit in the ``last`` round.
     """
     turn = float(np.deg2rad(arm.setup.config.session.turn_deg))
-    expected = arm.model.priors(arm.calibration, scale=scale)
+    expected = arm.model.priors(arm.calibration)
     agrees = arm.solution.agree.tolist()
     before: list[tuple[Posed, ...]]
     if arm.fits:
@@ -240,19 +237,17 @@ def _fitted(arm: ArmSession, scale: float, *, last: bool) -> ArmSession:
     return replace(arm, fits=tuple(found[i] for i in range(len(arm.frames))), moved=None)
 
 
-def _estimated(arms: Arms, *, keep_all: bool, last: bool) -> Arms:
-    """Estimate base, offsets, variances and cables of all arms from the current fits.
+def _estimated(arms: Arms, *, last: bool) -> Arms:
+    """Estimate base, offsets, variances and cables of all arms from the current fits that explain their masks.
 
-    ``keep_all`` is whether fits that do not explain the mask count as well. Cables must be more likely by a margin in
-    the ``last`` round. `InputError` if too few fits count.
+    Cables must be more likely by a margin in the ``last`` round. `InputError` if too few fits count.
     """
-    if not keep_all:
-        for arm in arms:
-            arm.check_agreement()
+    for arm in arms:
+        arm.check_agreement()
     config = arms[0].setup.config.session
-    solved = solve_with_variances([arm.outlines(keep_all=keep_all) for arm in arms], config)
+    solved = solve_with_variances([arm.outlines() for arm in arms], config)
     arms = [arm.with_solution(own) for arm, own in zip(arms, solved, strict=True)]
-    if not keep_all and config.cables:
+    if config.cables:
         arms = [_with_cables(arm, last=last) for arm in arms]
         if any(arm.cables is not None and arm.cables[0].parts for arm in arms):
             solved = solve_with_variances([replace(arm.solution, model=arm.model) for arm in arms], config)

@@ -144,15 +144,15 @@ class Equations:
 def _places(calibrations: Sequence[Calibration]) -> tuple[tuple[Indices, ...], int]:
     """Return where the unknowns of each arm are among those of the session, and the number of these."""
     found: dict[tuple[int, str], Indices] = {}
-    count = 0
+    places, count = list[Indices](), 0
     for arm, calibration in enumerate(calibrations):
-        for block in calibration.blocks:
-            key = (-1 if block.shared else arm, block.name)
+        keys = {(-1 if block.shared else arm, block.name): len(block.std) for block in calibration.blocks}
+        for key, size in keys.items():
             if key not in found:
-                found[key] = np.arange(count, count + len(block.std))
-                count += len(block.std)
-    keys = [[(-1 if block.shared else arm, block.name) for block in own.blocks] for arm, own in enumerate(calibrations)]
-    return tuple(np.concatenate([found[key] for key in of_arm]) for of_arm in keys), count
+                found[key] = np.arange(count, count + size)
+                count += size
+        places.append(np.concatenate([found[key] for key in keys]))
+    return tuple(places), count
 
 
 @dataclass(frozen=True, eq=False)
