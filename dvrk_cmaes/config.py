@@ -316,8 +316,6 @@ class SessionConfig:
     insertion_offset_mm, roll_offset_deg
         Standard deviations of the offsets of insertion and roll. Those of the instrument's joints are the standard
         deviations of their readings, ``readings``.
-    turn_deg
-        Rotation about the shaft, in both directions, of additional starting poses of frames that disagree.
     cauchy
         Scale of the Cauchy loss of the outline, as a difference of coverage.
     largest_misfit
@@ -352,7 +350,6 @@ class SessionConfig:
     slack_deg: float = 0.1
     insertion_offset_mm: float = 0.5
     roll_offset_deg: float = 20.0
-    turn_deg: float = 30.0
     cauchy: float = 0.25
     largest_misfit: float = 12.0
     cables: bool = True
@@ -444,6 +441,7 @@ REMOVED = {
     "session.cable_growth": "see session.cable_std_factor",
     "session.rounds": "frames and session are solved in three rounds",
     "session.loosened": "frames are fitted with what their session expects as it is, in all rounds",
+    "session.turn_deg": "frames that disagree start from what their session expects, too",
     "session.masks_again": "masks stay as `batch` found them",
     "track.modes": "the most probable mode is followed",
     "track.points": "masks are found in images, and all of their contour counts",

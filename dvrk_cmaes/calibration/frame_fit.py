@@ -10,7 +10,7 @@ import numpy as np
 
 from dvrk_cmaes.config import EstimateConfig, OutlineConfig
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
-from dvrk_cmaes.geometry import Bool, Float64, Posed, moved
+from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.joints.prior import split_readings
 from dvrk_cmaes.pose.doubts import LEAST_OVERLAP
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, refine
@@ -323,25 +323,16 @@ _NEAR = 3.0  # standard deviations per parameter; a fit that would move by less 
 
 
 def starts_of(
-    before: Sequence[Posed], expected: Expected, turn: float, *, agrees: bool, fit: FrameFit | None = None
+    before: Sequence[Posed], expected: Expected, *, agrees: bool, fit: FrameFit | None = None
 ) -> tuple[Posed, ...]:
     """Return the starts of a frame's fit; none if it is settled.
 
     A frame that ``agrees`` with the session starts from the first of the poses ``before``, or from where its ``fit``
-    would move to, if that is near. Any other starts from all of these, from what the session expects, and from that
-    rotated about the shaft by ``turn``, rad, to both sides.
+    would move to, if that is near. Any other starts from all of these, and from what the session expects.
     """
     step = 0.0 if fit is None else fit.step_to(expected)
     if not agrees or step >= _NEAR:
-        return (*before, *_around(expected, turn))
+        return (*before, expected.mean)
     if fit is None:
         return (before[0],)
     return () if step < _SETTLED else (fit.moved_to(expected).at,)
-
-
-def _around(expected: Expected, turn: float) -> list[Posed]:
-    """Return what a session expects, and that rotated about the shaft to both sides by ``turn``, rad."""
-    return [
-        Posed(moved(expected.mean.pose, np.array([0, 0, 0, 0, 0, angle])), expected.mean.joints)
-        for angle in (0.0, -turn, turn)
-    ]

@@ -216,7 +216,6 @@ def _fitted(arm: ArmSession, *, last: bool) -> ArmSession:
 
     A frame without any keeps the linearisation of its outline, whose minimum is its fit in the ``last`` round.
     """
-    turn = float(np.deg2rad(arm.setup.config.session.turn_deg))
     expected = arm.model.priors(arm.calibration)
     agrees = arm.solution.agree.tolist()
     before: list[tuple[Posed, ...]]
@@ -229,7 +228,7 @@ def _fitted(arm: ArmSession, *, last: bool) -> ArmSession:
         before = [tuple(arm.modes[i][k] for k in of_frame) for i, of_frame in enumerate(numbers)]
     fits = arm.fits if arm.moved is None and arm.fits else (None,) * len(arm.frames)
     each = zip(before, expected, agrees, fits, strict=True)
-    starts = [starts_of(at, prior, turn, agrees=clear, fit=fit) for at, prior, clear, fit in each]
+    starts = [starts_of(at, prior, agrees=clear, fit=fit) for at, prior, clear, fit in each]
     again = [i for i, of_frame in enumerate(starts) if of_frame]
     tasks = [(arm.stored[i], expected[i], starts[i], arm.change, arm.taken_off) for i in again]
     found = {i: fit.moved_to(expected[i]) if last else fit for i, fit in enumerate(arm.fits)}
