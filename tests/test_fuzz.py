@@ -16,7 +16,7 @@ TIMES = float(os.environ.get("DVRK_CMAES_TEST_TRIES", "1"))
 """Multiplies the numbers of quick tries; .ci/run sets it to 3.4, and makes more of the others."""
 
 ANY = 3 if TIMES <= 1 else 8  # tries by any command, 50 to 300 ms of processor time each; the others are by `inspect`
-QUICK = 40  # tries of a family whose file `inspect` reads, some 5 ms each
+QUICK = 20 if TIMES <= 1 else 40  # tries of a family whose file `inspect` reads, some 5 ms each
 NAMES = (
     *("mask", "mask, JPEG", "image", "camera", "camera, OpenCV", "readings", "session.toml", "readings, second arm"),
     *("mask, second arm", "readings, NumPy", "settings", "URDF", "mesh, DAE", "mesh, STL", "package", "texture"),

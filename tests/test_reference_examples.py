@@ -33,6 +33,7 @@ PAGES = ROOT / "data" / "reference"
 README = {line for block in blocks((ROOT / "README.md").read_text(encoding="utf-8")) for line in block.commands}
 NOT_HERE = {
     "live": "a server",
+    "--refine-camera": "more motion, as in tests/cli/test_calibrate.py",
     "150": "a long recording that is played to live, as a shorter one in tests/live/test_page.py",
     "--weights": "weights",
     "...": "a command that is not whole",

@@ -11,7 +11,7 @@ from helpers.session_worlds import make_frames_in_memory
 
 from dvrk_cmaes import Body, FrameData, SessionCalibration, SessionFrame, calibrate_session
 
-FRAMES = 10
+FRAMES = 8
 
 
 def grown(frame: SessionFrame, pixels: int) -> SessionFrame:
@@ -44,7 +44,12 @@ def test_margin_is_found_and_taken_off(calibrations: dict[int, tuple[SessionCali
     assert calibrations[pixels][1] < 1.0
 
 
-def test_exact_masks_are_nearly_left_as_they_are(calibrations: dict[int, tuple[SessionCalibration, float]]) -> None:
-    margin = calibrations[0][0].blocks["margin"]
+def test_exact_masks_are_nearly_left_as_they_are_and_the_shaft_has_its_radius(
+    calibrations: dict[int, tuple[SessionCalibration, float]],
+) -> None:
+    found = calibrations[0][0]
+    margin, parts = found.blocks["margin"], found.blocks["parts"]
+    assert found.doubts == ()
+    assert abs(parts.values[parts.axes.index("radius")]) < 0.02
     assert abs(margin.values[0]) < 0.05
     assert margin.std[0] < 0.1

@@ -15,7 +15,7 @@ from helpers.made_surgpose import made_arms, write_surgpose
 from helpers.places import ROOT
 from helpers.printed_blocks import run
 
-FRAMES, EVERY = 60, 6
+FRAMES, EVERY = 30, 3
 """Frames of the recording that session is made of, and which of them it has."""
 ARM_JOINTS = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw")
 SMALL_CAMERA = "width: 320\nheight: 240\nK: [512, 0, 160, 0, 512, 120, 0, 0, 1]\nD: [0, 0, 0, 0, 0]\n"

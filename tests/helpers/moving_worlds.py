@@ -59,8 +59,13 @@ class MovingWorld:
 
 
 @cache
-def moving_world(frames: int = 40, seed: int = 3, level: MotionLevel = OFFSETS_ONLY, right: float = 0.0) -> MovingWorld:
-    """Make a moving arm with the bundled instrument, the whole moved to the right by some metres."""
+def moving_world(
+    frames: int = 40, seed: int = 3, level: MotionLevel = OFFSETS_ONLY, right: float = 0.0, shown: int | None = None
+) -> MovingWorld:
+    """Make a moving arm with the bundled instrument, the whole moved to the right by some metres.
+
+    Masks are drawn of the first frames ``shown``, or of all.
+    """
     body = prepare("lnd")
     rng = np.random.default_rng(seed)
     base, truths, _ = moving_arm(body, SMALL, rng, frames, level)
@@ -69,7 +74,7 @@ def moving_world(frames: int = 40, seed: int = 3, level: MotionLevel = OFFSETS_O
     truths = [replace(truth, camera_from_root=aside @ truth.camera_from_root) for truth in truths]
     paths = read_moving(truths, rng, level)
     readings = [{name: float(path[k]) for name, path in paths.items()} for k in range(frames)]
-    return MovingWorld(body, SMALL, base, truths, [exact_mask(SMALL, truth) for truth in truths], readings)
+    return MovingWorld(body, SMALL, base, truths, [exact_mask(SMALL, truth) for truth in truths[:shown]], readings)
 
 
 def drawn(world: MovingWorld, frames: int) -> list[np.ndarray]:

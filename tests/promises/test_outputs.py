@@ -87,16 +87,6 @@ def test_json_on_stdout_is_the_document_alone(kept: Kept, tmp_path: Path, batche
     assert summary == json.loads((batched / "summary.json").read_text())
 
 
-def test_help_is_printed_on_stdout() -> None:
-    for words in (("--version",), ("estimate", "--help"), ("help",), ("help", "formats")):
-        ran = run(*words)
-        assert (ran.code, ran.err, len(ran.out) > 5) == (0, "", True)
-    shown = subprocess.run([PROGRAM, "--help"], capture_output=True, text=True, check=True).stdout
-    commands = "estimate segment demo batch calibrate track live export golden compare consistency pnp synth inspect"
-    for command in (*commands.split(), "import", "help"):
-        assert f" {command} " in shown
-
-
 def test_closed_or_full_stdout_is_no_traceback(tmp_path: Path) -> None:
     with open("/dev/full", "w") as full:
         ran = subprocess.run([PROGRAM, "help", "formats"], stdout=full, stderr=subprocess.PIPE, text=True, check=False)

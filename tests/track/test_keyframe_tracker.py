@@ -102,7 +102,7 @@ def calibration(solved: tuple[Tracker, dict[int, Solution], list[TrackResult]]) 
 
 
 def test_given_calibration_is_given_up_where_the_camera_was_moved(calibration: SessionCalibration) -> None:
-    elsewhere = moving_world(right=0.012)
+    elsewhere = moving_world(right=0.012, shown=16)
     tracker = Tracker(elsewhere.camera, elsewhere.body, calibration, CONFIG)
     results = elsewhere.follow(tracker, frames=range(16))
     assert all(result.status != "ok" for result in results)
