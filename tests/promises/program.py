@@ -32,8 +32,8 @@ EASY = ("--level", "easy", "--frames", 8, "--seed", 5, "--no-images")
 EYES = ("--stereo", "--level", "medium", "--frames", 4, "--seed", 2, "--no-images")
 TOOLS = ("--arms", 2, "--level", "easy", "--frames", 4, "--seed", 3, "--no-images")
 
-QUICK = "[search]\nsamples = 128\nstarts = 2\nevaluations = 160\n"
-"""Settings of a short search, for tests of what is done with results."""
+QUICK = "[search]\nsamples = 128\nstarts = 2\nevaluations = 160\n[session]\ntest_camera = false\n"
+"""Settings of a short search and of a camera that is not tested, for tests of what is done with results."""
 
 _MAIN = next(iter(entry_points(group="console_scripts", name="dvrk-cmaes"))).load()
 

@@ -189,6 +189,7 @@ def test_keypoints_and_ignored_pixels_count_as_stated(kept: Kept) -> None:
     np.testing.assert_array_equal(same.camera_from_root, other.camera_from_root)
 
 
+@pytest.mark.usefixtures("search_short")
 def test_image_alone_is_segmented_and_estimated(kept: Kept, tmp_path: Path) -> None:
     ran = run(
         *("estimate", "--image", DEMO / "images" / "0001.jpg", "--camera", DEMO / "camera.yaml"),
@@ -224,6 +225,7 @@ def test_image_of_something_else_is_refused_or_its_mask_a_guess(
         assert any(reason.startswith("mask is a guess: confidence 0.") for reason in result.reasons)
 
 
+@pytest.mark.usefixtures("search_short")
 def test_mask_found_in_a_real_image_gives_the_pose_of_a_given_one(shared: Path, tmp_path: Path) -> None:
     real, body = shared / "frames" / "real" / "medium", shared / "instruments" / "lnd_400006" / "lnd_400006.urdf"
     files = ("--image", real / "images" / "0240.png", "--camera", real / "camera.yaml", "--joints", real / "joints.csv")
