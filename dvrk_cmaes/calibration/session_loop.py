@@ -364,7 +364,7 @@ def predict_from_first(
     first
         Frames that were estimated by themselves.
     others
-        The readings of the frames to predict, by name, rad and m.
+        The readings of the frames to predict, by name, rad and m; those of first frames that agree do not count.
     setup
         The recording's instrument, arm, settings and all readings.
 
@@ -386,7 +386,10 @@ def predict_from_first(
         name: own if lag is None or series is None or name not in series.frames else series.of_frame(name, lag)
         for name, own in others.items()
     }
-    readings = {name: own for name, own in readings.items() if not np.isnan(outer_readings([own])).any()}
+    agree = {frame.name for frame, agrees in zip(arm.frames, arm.solution.agree.tolist(), strict=True) if agrees}
+    readings = {
+        name: own for name, own in readings.items() if name not in agree and not np.isnan(outer_readings([own])).any()
+    }
     if not readings:
         return {}
     read = [*readings.values()]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -12,8 +12,9 @@ import numpy as np
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.estimation.one_tool import FrameMethod, estimate_views
 from dvrk_cmaes.frames.field_of_view import IGNORED, outside_view
-from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.frames.frame import FrameData, FrameFiles
 from dvrk_cmaes.frames.seen_view import SeenView, overlap_of
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.doubts import mask_is_a_guess
 from dvrk_cmaes.pose.views import silhouette_of
 from dvrk_cmaes.results.parts import posed
@@ -85,7 +86,7 @@ def segment_and_estimate(data: FrameData, body: Body, method: FrameMethod) -> tu
         if found:
             own = prompts_in(view, found[0].view, own, body, several=bool(found[0].segmentation.others))
         try:
-            found.append(_find_mask(view, body, files.readings, solve, settings, own, method.config.threads))
+            found.append(_find_mask(view, body, files, solve, settings, own, method.config.threads))
         except DvrkCmaesError as error:
             raise type(error)(f"{files.others.get(view.name, files).picture}: {error}") from None
     first, alone = found[0], len(found) == 1
@@ -101,10 +102,15 @@ def segment_and_estimate(data: FrameData, body: Body, method: FrameMethod) -> tu
     return data, first.segmentation, result
 
 
+def _expected(start: Result, view: SeenView, body: Body) -> Posed:
+    """Return where a result has the instrument in a view's camera."""
+    return posed(start, body.instrument.joint_names).seen_from(view.view_from_camera)
+
+
 def _find_mask(
     view: SeenView,
     body: Body,
-    readings: Mapping[str, float],
+    files: FrameFiles,
     solve: Callable[[Sequence[SeenView]], Result],
     settings: SegmentSettings,
     hints: Hints,
@@ -128,7 +134,8 @@ def _find_mask(
         background=settings.backgrounds.get(view.name),
         instrument=body,
         camera=view.camera,
-        joints=readings,
+        joints=files.readings,
+        expected=None if files.start is None else _expected(files.start, view, body),
     )
     view = replace(view, mask=found.mask, given=True)
     if not view.shows:

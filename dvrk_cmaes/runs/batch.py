@@ -137,8 +137,9 @@ def run_batch(
             ran += 1
             statuses[outcome.result.status] += 1
             workers.report(ran, len(todo), f", {statuses['doubtful']} doubtful, {statuses['failed']} failed")
+        whole = ran == len(todo) and (not todo or _look_again(out, arm, workers))
         finished = finish(out, (ran, time.monotonic() - started), method.config.trust)
-    document, interrupted = finished.summary or {}, workers.stop.is_set() and ran < len(todo)
+    document, interrupted = finished.summary or {}, workers.stop.is_set() and not whole
     return BatchSummary(ran, interrupted, document, finished.frames)
 
 
@@ -192,6 +193,22 @@ def _prepare(
     own.refuse(results_of([files.name for files in todo], arm.session.rig.names))
     own.describe(manifest)
     return todo, [kept[files.name] for files in frames if files.name in kept]
+
+
+def _look_again(out: Path, arm: ArmInSession, workers: Workers) -> bool:
+    """Find masks again in images that do not agree with most others, where these expect the tool; whether in all."""
+    if all(files.has_mask for files in arm.session.frames):
+        return True
+    from dvrk_cmaes.runs.expected import expected_elsewhere
+
+    again, found = expected_elsewhere(arm, read_results(out, summary=False).frames), 0
+    if not again:
+        return True
+    workers.notice(f"{len(again)} images are looked at again, where the others expect the instrument")
+    for outcome in outcomes(arm, again, workers):
+        write_outcome(out, outcome)
+        found += 1
+    return found == len(again)
 
 
 def outcomes(arm: ArmInSession, todo: Sequence[FrameFiles], workers: Workers) -> Iterator[FrameOutcome]:

@@ -31,6 +31,7 @@ from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.runs.expected import start_at
 from dvrk_cmaes.runs.frame import estimate_frame
 from dvrk_cmaes.runs.recording import RecordedFrames, RecordedSolution, predict, read_seen
 from dvrk_cmaes.segment import segment
@@ -120,15 +121,7 @@ def _estimated(recorded: RecordedFrames, keyframes: Mapping[int, Reader], work: 
     rest = [i for i in keyframes if i not in searched]
     first = estimated(searched, {})
     expected = predict_from_first(first, {files[i].name: files[i].readings for i in rest}, work)
-    starts = {
-        name: replace(
-            first[0].result,
-            camera_from_root=at.pose,
-            joints=dict(zip(names, at.joints.tolist(), strict=True)),
-            alternatives=(),
-        )
-        for name, at in expected.items()
-    }
+    starts = {name: start_at(first[0].result, at, names) for name, at in expected.items()}
     found = dict(zip((*searched, *rest), (*first, *estimated(rest, starts)), strict=True))
     return [found[i] for i in keyframes]
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.geometry import Float32
+from dvrk_cmaes.geometry import Float32, Posed
 from dvrk_cmaes.segment.segmentation import (
     GUESS,
     MODELS,
@@ -55,6 +55,7 @@ def segment(
     instrument: Instrument | Body | str | Path | None = None,
     camera: Camera | None = None,
     joints: Mapping[str, float] | None = None,
+    expected: Posed | None = None,
 ) -> Segmentation:
     """Segment the instrument in an image.
 
@@ -82,6 +83,8 @@ def segment(
         The camera of the image; without, one with the usual angle of view of endoscopes is assumed.
     joints
         Readings of the instrument's joints by name, rad. Any may be missing.
+    expected
+        Where the instrument is expected: of several candidates ``classic`` takes the nearest one.
 
     Raises
     ------
@@ -99,7 +102,7 @@ def segment(
         from dvrk_cmaes.silhouette.threads import single_blas_thread
 
         with single_blas_thread():
-            return with_classic(image, background, hints, instrument, camera, joints)
+            return with_classic(image, background, hints, instrument, camera, joints, expected)
 
     if model == "classic":
         if weights is not None:
@@ -121,6 +124,7 @@ def with_classic(
     instrument: Instrument | Body | str | Path | None,
     camera: Camera | None,
     joints: Mapping[str, float] | None,
+    expected: Posed | None,
 ) -> Segmentation:
     """Segment by a background, if one is known, and by the instrument's shape, colours or a smooth surface.
 
@@ -164,7 +168,7 @@ def with_classic(
     ) -> Segmentation:
         if body is None:
             return otherwise()
-        return segment_by_model(image, body, camera, joints, prompts, roughly, otherwise, odds)
+        return segment_by_model(image, body, camera, joints, prompts, roughly, otherwise, odds, expected)
 
     if background is None:
         return found_by(roughly, by_colours)

@@ -74,6 +74,8 @@ Fitted by logistic regression to 119 candidates in 44 pictures drawn by rays, be
 """
 _NEAR_FOREGROUND: Final = 0.015  # of the longer side, from what differs from a background, where edges are looked for
 _CLEARLY_BEHIND: Final = -1.5  # log-odds of pixels that are background
+_EXPECTED: Final = np.array([0.02] * 3 + np.deg2rad([30, 30, 60]).tolist())
+"""Usual deviations of a pose from the expected one, in the root's axes, m and rad."""
 _SHARED: Final = 0.25  # of the smaller silhouette, that two candidates of different instruments may share
 
 
@@ -106,10 +108,12 @@ def find_instruments(
     joints: Mapping[str, float] | None = None,
     rough: Bool | None = None,
     foreground: Float32 | None = None,
+    expected: Posed | None = None,
 ) -> list[Candidate]:
     """Find the instruments in an image (H, W, 3) uint8 BGR; their silhouettes do not share pixels.
 
-    Those that are no guess are first, and of these the one with the largest score.
+    Those that are no guess are first, and of these the one with the largest score; where a pose is ``expected`` the one
+    nearest to that, about which the instrument is looked for, too.
 
     ``joints`` are the readings, rad, by name. ``rough`` is a mask of any size found by other means: it is looked
     whether its sides are a shaft's, too. ``foreground`` are log-odds of instrument by a known background, of any size.
@@ -163,6 +167,9 @@ def find_instruments(
         starts = _starts(at, ranked.scores(at).total, len(every), coarse)
         varied, own = _best_of_each(appearance, [_varied(at[[k]]) for k in starts])
         begin.append(varied[[k for k in _ordered(own)[:_BEGUN] if own[k] > own.max() - _BEHIND]])
+    if expected is not None:
+        varied = _varied(expected[None])
+        begin.append(varied[_ordered(appearance.scores(varied).total)[:_BEGUN]])
     if not begin:
         return []
     at = _joined(begin)
@@ -187,6 +194,8 @@ def find_instruments(
     if foreground is not None:
         sure = np.array([_explained(mask, foreground) for mask in masks])
     found = [Candidate(at[k], float(scores.total[k]), float(sure[k]), masks[k]) for (k,) in groups]
+    if expected is not None:
+        return sorted(found, key=lambda each: float(np.square(each.at.minus(expected)[:6] / _EXPECTED).sum()))
     return sorted(found, key=lambda each: (each.confidence < GUESS, -each.score))
 
 

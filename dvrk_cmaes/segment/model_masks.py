@@ -17,7 +17,7 @@ import numpy as np
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.frames.seen_view import overlap_of
-from dvrk_cmaes.geometry import Bool, Float32, Image
+from dvrk_cmaes.geometry import Bool, Float32, Image, Posed
 from dvrk_cmaes.segment.around import mask_around, segmentation_around
 from dvrk_cmaes.segment.by_model import Candidate, assumed_camera, find_instruments
 from dvrk_cmaes.segment.colours import ColourTable, measure_colours
@@ -91,6 +91,7 @@ def segment_by_model(
     rough: Callable[[], Segmentation],
     otherwise: Callable[[], Segmentation],
     foreground: Float32 | None = None,
+    expected: Posed | None = None,
 ) -> Segmentation:
     """Find instruments in an image (H, W, 3) uint8 BGR by their model, and the mask of the best one.
 
@@ -110,14 +111,16 @@ def segment_by_model(
     foreground
         (h, w), log-odds of instrument by a known background, by which candidates are chosen then and their masks cut;
         ``rough`` is what differs from that.
+    expected
+        Where the instrument is expected: the candidate nearest to that is taken.
     """
     camera = assumed_camera(image.shape[1], image.shape[0]) if camera is None else camera
     roughly = rough()
     sure = roughly.confidence >= GUESS
     about = roughly.mask if sure and roughly.mask.any() and not roughly.mask.all() else None
-    candidates = find_instruments(image, prompts, body, camera, joints, about, foreground)
+    candidates = find_instruments(image, prompts, body, camera, joints, about, foreground, expected)
     likely = [each for each in candidates if each.confidence >= GUESS]
-    found = [each for each in likely if _fits(each, prompts, image)]
+    found = [each for each in likely if _fits(each, prompts, image)] if expected is None else candidates[:1]
 
     @cache
     def by_colours() -> Segmentation:

@@ -109,14 +109,14 @@ def _images_segmented_once(patch: pytest.MonkeyPatch) -> None:
     known: dict[str, segmentation.Segmentation] = {}
 
     def segmented(
-        image: Any, background: Any, hints: Any, instrument: Any, camera: Any, joints: Any
+        image: Any, background: Any, hints: Any, instrument: Any, camera: Any, joints: Any, expected: Any
     ) -> segmentation.Segmentation:
         body = None if instrument is None else prepare.prepare(instrument)
         of_body = () if body is None else (digest_of(body.instrument), body.method)
-        given = image, background, hints, of_body, camera, None if joints is None else sorted(joints.items())
+        given = image, background, hints, of_body, camera, joints and sorted(joints.items()), expected
         key = hashlib.sha256(pickle.dumps(given)).hexdigest()
         if key not in known:
-            known[key] = SEGMENT_CLASSIC(image, background, hints, instrument, camera, joints)
+            known[key] = SEGMENT_CLASSIC(image, background, hints, instrument, camera, joints, expected)
         return replace(known[key], mask=known[key].mask.copy())
 
     patch.setattr(segmentation, "with_classic", segmented)

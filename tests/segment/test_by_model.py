@@ -78,14 +78,16 @@ def test_the_one_that_is_taken_is_named(two: tuple[np.ndarray, list[np.ndarray],
     assert f"two instruments, the {side} one taken (pass --point)" in found.notes
 
 
-def test_a_point_chooses(two: tuple[np.ndarray, list[np.ndarray], Segmentation]) -> None:
+def test_a_point_or_an_expected_pose_chooses(two: tuple[np.ndarray, list[np.ndarray], Segmentation]) -> None:
     image, masks, _ = two
-    for mask in masks:
+    for mask, pose in zip(masks, (LEFT, RIGHT), strict=True):
         inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
         v, u = np.unravel_index(int(inside.argmax()), mask.shape)
         found = segment(image, instrument=BODY, camera=CAMERA, points=[(float(u), float(v))])
         assert overlap(found.mask, mask) > 0.85
         assert found.others == ()
+        off = posed(*pose)[0].moved(np.array([0.004, 0.004, 0.008, 0.1, 0.1, 0.3, 0.1, 0.1, 0.1]))
+        assert overlap(segment(image, instrument=BODY, camera=CAMERA, expected=off).mask, mask) > 0.85
 
 
 def test_candidates_are_where_the_instruments_are_and_share_few_pixels() -> None:
@@ -96,8 +98,7 @@ def test_candidates_are_where_the_instruments_are_and_share_few_pixels() -> None
     assert overlap(found[0].silhouette, small) > 0.75
     axis = np.array(RIGHT[0]) / np.linalg.norm(RIGHT[0])
     assert np.degrees(np.arccos(found[0].at.pose[:3, 2] @ axis)) < 8
-    order = [(each.confidence < GUESS, -each.score) for each in found]
-    assert order == sorted(order)
+    assert found == sorted(found, key=lambda each: (each.confidence < GUESS, -each.score))
     again = find_instruments(image, no_prompts(image.shape), BODY, CAMERA)
     assert np.array_equal(again[0].at.pose, found[0].at.pose)
 
@@ -173,5 +174,4 @@ def test_a_plate_is_no_instrument() -> None:
 
 def test_a_picture_without_edges_has_no_candidates() -> None:
     image = np.full((120, 160, 3), 90, np.uint8)
-    camera = CAMERA.scaled(160, 120)
-    assert find_instruments(image, no_prompts(image.shape), BODY, camera) == []
+    assert find_instruments(image, no_prompts(image.shape), BODY, CAMERA.scaled(160, 120)) == []
