@@ -22,8 +22,8 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -32,7 +32,7 @@ from dvrk_cmaes.camera.files import Side, guessed_camera, read_camera_file
 from dvrk_cmaes.camera.rig_files import read_rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.coco_mask import FILES, frames_of
-from dvrk_cmaes.frames.frame import FrameFiles
+from dvrk_cmaes.frames.frame import FrameFiles, readable
 from dvrk_cmaes.frames.images import looks_like_mask, read_image
 from dvrk_cmaes.frames.keypoints import Hints, read_boxes, read_keypoints
 from dvrk_cmaes.frames.paired_names import counted_apart, named_as, paired, with_masks_beside, with_names_of
@@ -360,13 +360,17 @@ def _pictures(root: Path, mask_folder: Path, views: Sequence[str], *, filmed: bo
     if len(views) == len(inner) == 1 and not of_views[0][0]:
         of_views[0][0] = image_files(inner[0])
     if len(views) == 1 and not of_views[0][0]:
-        masks = of_views[0][0] = _masks_as_json(root, mask_folder)
-        _refuse_annotations(root, mask_folder, masks)
+        of_views[0][0] = _masks_as_json(root, mask_folder)
+        if not of_views[0][0]:
+            _refuse_annotations(root, mask_folder, inner)
     check_own(root, (path for kinds in of_views for of_kind in kinds for path in of_kind.values()))
-    if folders[1] == root and (both := with_masks_beside(of_views[0][1])):
-        raise InputError(f"{root}: expected folders images and masks, got both kinds in one: {listed(both)}")
-    if folders[1] == root and not of_views[0][0] and _are_masks([*of_views[0][1].values()]):
-        of_views[0][:2] = of_views[0][1::-1]
+    if folders[1] == root:
+        if both := with_masks_beside(of_views[0][1]):
+            raise InputError(f"{root}: expected folders images and masks, got both kinds in one: {listed(both)}")
+        pictures = [*of_views[0][1].values()]
+        middle = readable(partial(read_image, pictures[len(pictures) // 2]))
+        if not of_views[0][0] and middle is not None and looks_like_mask(middle):
+            of_views[0][:2] = of_views[0][1::-1]
     if not filmed and not any(files for kinds in of_views for files in kinds[:2]):
         known = mask_folder != root / "masks" or is_session_layout(root)
         if not known and (inside := sorted(path.name for path in root.iterdir())):
@@ -376,13 +380,6 @@ def _pictures(root: Path, mask_folder: Path, views: Sequence[str], *, filmed: bo
             )
         raise InputError(f"{mask_folder}: expected masks (PNG or JPEG) of the frames, got {_other_files(mask_folder)}")
     return of_views
-
-
-def _are_masks(paths: Sequence[Path]) -> bool:
-    """Whether pictures look like masks, by one in their middle; images, if that is damaged."""
-    with suppress(InputError):
-        return looks_like_mask(read_image(paths[len(paths) // 2]))
-    return False
 
 
 def _with_readings(frame: FrameFiles, files: Sequence[JointFile], time: int | None) -> tuple[FrameFiles, int | None]:
@@ -514,11 +511,9 @@ def _other_files(folder: Path) -> str:
     return "none" if first is None else f"{first.name}, {foreign(first.read_bytes())}"
 
 
-def _refuse_annotations(root: Path, folder: Path, masks: Mapping[str, Path]) -> None:
-    """Raise an InputError for a session without masks that has an annotator's files, which would be passed over."""
-    if masks:
-        return
-    if folder.is_dir() and any(path.is_dir() and any(image_files(path)) for path in folder.iterdir()):
+def _refuse_annotations(root: Path, folder: Path, inner: Sequence[Path]) -> None:
+    """Raise an InputError for a session without masks that has an annotator's files, or masks in ``inner`` folders."""
+    if any(map(image_files, inner)):
         raise InputError(f"{folder}: expected masks (PNG or JPEG) of the frames, got {_other_files(folder)}")
     places = (root / "annotations.xml", *sorted((root / "labels").glob("*.txt")), *sorted(folder.glob("*.*")))
     for path in (path for path in places if path.is_file() and not path.name.startswith(".")):
