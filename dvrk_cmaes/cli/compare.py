@@ -12,13 +12,13 @@ from cyclopts import Parameter
 from dvrk_cmaes.cli.options import OUTPUT, Flag, UrdfOptions, whole
 from dvrk_cmaes.cli.terminal import Line, answer, table_lines
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.short_text import counted, listed
 
 if TYPE_CHECKING:
     from dvrk_cmaes.evaluate.comparison import Comparison
     from dvrk_cmaes.evaluate.label_errors import LabelErrors, Labels
 
 _TABLE = "compare.csv"
-_MOST_NAMED = 10  # frames in a line
 
 
 def compare(
@@ -135,7 +135,7 @@ def _sums(comparison: Comparison) -> Iterator[Line]:
         yield from table_lines(comparison.sums_table(k))
         twins = sorted(frame for frame, difference in found.items() if difference.is_twin)
         if twins:
-            yield Line(f"  mirror twin of {reference}: {_named(twins, len(found))}", "yellow")
+            yield Line(f"  mirror twin of {reference}: {counted(len(twins), 'frame')} ({listed(twins)})", "yellow")
         within = comparison.within_90(k)
         if within is not None:
             yield Line(f"  tips within the stated 90 % distance of the truth: {within[0]} of {within[1]} frames")
@@ -150,16 +150,8 @@ def _sums(comparison: Comparison) -> Iterator[Line]:
         missing = [name for name in comparison.frames if name in comparison.sets[comparison.reference].frames]
         missing = [name for name in missing if name not in found]
         if missing:
-            names = _named(missing, len(comparison.frames))
+            names = f"{counted(len(missing), 'frame')} ({listed(missing)})"
             yield Line(f"  not compared, without a pose in one of the two: {names}", "yellow")
-
-
-def _named(names: Sequence[str], of: int) -> str:
-    """Name frames: all of several as ``all 115``, many by the first ones and their number."""
-    if len(names) == of > 1:
-        return f"all {of}"
-    more = len(names) - _MOST_NAMED
-    return ", ".join(names[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _frames(comparison: Comparison, most: int) -> Iterator[Line]:

@@ -83,9 +83,11 @@ class FormatGiven:
     table
         The parquet file of a LeRobot data set's episode, in the format lerobot.
     arm
-        Name of the arm in names of files and frames, such as ARM_base.
+        Name of the arm in names of files and frames.
     camera_frame
         Name of the camera's optical frame (x right, y down, z forward).
+    base_frame
+        Name of the arm's base frame; ARM_base by default.
     scene
         scene_id in the format bop.
     object_id
@@ -102,6 +104,7 @@ class FormatGiven:
     table: Path | None = None
     arm: Annotated[str, Parameter(group=NAMES)] = "PSM1"
     camera_frame: Annotated[str, Parameter(group=NAMES)] = "camera"
+    base_frame: Annotated[str | None, Parameter(group=NAMES)] = None
     scene: Annotated[int, Parameter(group=NAMES)] = 0
     object_id: Annotated[int, Parameter(group=NAMES)] = 1
     dvrk_version: Annotated[Literal["2.4", "2.3"], Parameter(group=DVRK)] = "2.4"
@@ -168,7 +171,8 @@ def export(
     from dvrk_cmaes.results.folder import folder_of_arm
 
     results = folder_of_arm(results, chosen.arm)
-    names = FrameNames(chosen.arm, chosen.camera_frame)
+    base_frame = f"{chosen.arm}_base" if chosen.base_frame is None else chosen.base_frame
+    names = FrameNames(chosen.arm, chosen.camera_frame, base_frame)
     pose = None if chosen.ecm_pose is None else read_cartesian_pose(chosen.ecm_pose)
     source = read_source(results, frame)
     times = bag.read_times(source.results)

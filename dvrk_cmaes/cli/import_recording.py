@@ -169,12 +169,6 @@ class RecordingFiles:
     crop: str | None = None
     masks: Path | None = None
 
-    def check(self) -> None:
-        """Raise an InputError for a start that is none."""
-        if not math.isfinite(self.video_start):
-            raise InputError(f"--video-start: expected a finite number of seconds, got {self.video_start:g}")
-        check_range("--video-start", self.video_start, -LATEST, LATEST, "seconds")
-
     def asked(self, topics: TopicOptions, poses: PoseOptions) -> Asked:
         """Return what is read of a recording; ``poses`` is what those mean that are read."""
         from dvrk_cmaes.frames.picture_fit import parse_crop
@@ -295,7 +289,7 @@ def import_recording(
     """
     selected.check()
     taken, said = _lag(selected.lag, selected.calibration)
-    files.check()
+    check_range("--video-start", files.video_start, -LATEST, LATEST, "seconds")
     from dvrk_cmaes.io.files import check_own_folder
     from dvrk_cmaes.recording.readers import open_recording
     from dvrk_cmaes.recording.write_session import write_session

@@ -309,7 +309,7 @@ def _described(
         raise InputError(f"--psm: expected different arms, got {', '.join(topics.psm)}")
     method.check_for(topics.psm)
     inputs = topics.of_arms(topics.psm)
-    names = {arm: FrameNames(arm, topics.camera_frame) for arm in topics.psm}
+    names = {arm: FrameNames(arm, topics.camera_frame, f"{arm}_base") for arm in topics.psm}
     for of_arm in names.values():
         of_arm.check_tf()
     body = instrument.load()

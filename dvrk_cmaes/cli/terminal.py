@@ -181,17 +181,11 @@ def exit_code(statuses: Iterable[str]) -> int:
     return FAILED if found == {"failed"} else DOUBTFUL if found - {"ok"} else 0
 
 
-def _stopping() -> list[signal.Signals]:
-    """Return the signals that stop a run; SIGHUP, of a terminal that is closed, only where nohup does not ignore it."""
-    hang_up = [] if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else [signal.SIGHUP]
-    return [signal.SIGINT, signal.SIGTERM, *hang_up]
-
-
 @contextlib.contextmanager
 def stopping_on_interrupt(said: str = _STOPPING) -> Iterator[threading.Event]:
     """Give an event that is set by the first Ctrl-C (or SIGTERM, SIGHUP); the second one raises KeyboardInterrupt.
 
-    Signals are not handled outside the main thread.
+    Signals are not handled outside the main thread, nor SIGHUP, of a closed terminal, where nohup ignores it.
     """
     stop = threading.Event()
 
@@ -205,7 +199,8 @@ def stopping_on_interrupt(said: str = _STOPPING) -> Iterator[threading.Event]:
     if threading.current_thread() is not threading.main_thread():
         yield stop
         return
-    before = {number: signal.signal(number, handle) for number in _stopping()}
+    hang_up = [] if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else [signal.SIGHUP]
+    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM, *hang_up)}
     try:
         yield stop
     finally:

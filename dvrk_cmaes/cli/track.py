@@ -104,13 +104,6 @@ class TrackOptions:
         """The file of readings that is given."""
         return None if self.joints is None or self.joints == NO_READINGS else Path(self.joints)
 
-    def check(self) -> None:
-        """Raise an InputError for a value that is not valid."""
-        if self.rerun is not None:
-            from dvrk_cmaes.export.rerun_file import check_rerun
-
-            check_rerun("--rerun", self.rerun)
-
     def check_for_several(self, place: PromptOptions) -> None:
         """Raise an InputError for an option that cannot hold for several arms."""
         of_one = {"--first-mask": self.first_mask, "--rerun": self.rerun, "--joints FILE": self.readings}
@@ -199,7 +192,10 @@ def track(
     from dvrk_cmaes.results.tracked import VIDEO
     from dvrk_cmaes.runs.track_outputs import write_track_arms
 
-    follow.check()
+    if follow.rerun is not None:
+        from dvrk_cmaes.export.rerun_file import check_rerun
+
+        check_rerun("--rerun", follow.rerun)
     with output_folder(follow.out, session if session.is_dir() else session.parent, "tracks", "track") as target:
         folder, video = _session_of(session, follow, target, given.camera)
         files = () if follow.joints is None else (Path(follow.joints),)

@@ -33,10 +33,10 @@ def exported(request: ExportRequest) -> Exported:
     names.check_tf()
     transforms = {names.arm: (base.camera_from_base, names.camera, names.base)}
     if base.tip_from_camera is not None and base.ecm_from_base is not None:
-        bases = {names.arm: base.ecm_from_base, **base.others}
         transforms = {
             "ECM-tip": (base.tip_from_camera, "ECM_tip", names.camera),
-            **{arm: (pose, "ECM_base", f"{arm}_base") for arm, pose in bases.items()},
+            names.arm: (base.ecm_from_base, "ECM_base", names.base),
+            **{arm: (other, "ECM_base", f"{arm}_base") for arm, other in base.others.items()},
         }
     texts = {f"{name}-static-transform.sh": f"{publisher_command(*each)}\n" for name, each in transforms.items()}
     return Exported.of_texts(texts, base=base)

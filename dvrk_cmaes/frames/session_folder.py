@@ -244,7 +244,7 @@ def read_session(
     mask_folder = masks or root / "masks"
     if masks is not None or video is not None or is_session_layout(root) or not is_published_layout(root):
         frames, readings, times, notes = _session_frames(root, mask_folder, tuple(known), joints, read_as, video)
-        notes = ("a session folder", *notes)
+        notes = ("a session folder of two views" if _is_stereo(root, mask_folder) else "a session folder", *notes)
     else:
         frames, readings, times = find_published_frames(root), (), {}
         frames = frames if joints is not None else tuple(replace(frame, readings={}) for frame in frames)
@@ -265,7 +265,6 @@ def read_session(
         check_own(root, (path, right))
         first = frames[0] if frames[0].mask or frames[0].image else frames[0].others[_VIEWS[1]]
         lens = read_rig(path, right, rectified=rectified, size=lambda: first.size)
-        notes = ("a session folder of two views", *notes[1:])
     elif right is not None:
         raise InputError(
             f"{root}: expected a stereo session (masks/left) with a right camera, got one of a single view"
@@ -370,7 +369,7 @@ def _pictures(root: Path, mask_folder: Path, views: Sequence[str], *, filmed: bo
         pictures = [*of_views[0][1].values()]
         middle = readable(partial(read_image, pictures[len(pictures) // 2]))
         if not of_views[0][0] and middle is not None and looks_like_mask(middle):
-            of_views[0][:2] = of_views[0][1::-1]
+            of_views[0][:2] = [of_views[0][1], {}]  # of masks and images
     if not filmed and not any(files for kinds in of_views for files in kinds[:2]):
         known = mask_folder != root / "masks" or is_session_layout(root)
         if not known and (inside := sorted(path.name for path in root.iterdir())):

@@ -131,15 +131,12 @@ def check_own(given: Path, paths: Iterable[Path | None]) -> None:
         A path, or a folder of it, is a link that leaves the folder.
     """
     folder = os.path.abspath(given)
-    real, real_folder = os.path.realpath(given) if os.path.exists(given) else folder, cache(os.path.realpath)
+    real, real_of = os.path.realpath(given) if os.path.exists(given) else folder, cache(os.path.realpath)
     for path in (os.path.abspath(path) for path in paths if path is not None):
-        if _is_in(folder, place := os.path.dirname(path)):
-            target = (
-                os.path.realpath(path) if os.path.islink(path) else f"{real_folder(place)}/{os.path.basename(path)}"
-            )
-            if _is_in(real, target):
-                continue
-            while not _is_in(real, real_folder(os.path.dirname(path))):
+        place, name = os.path.split(path)
+        target = os.path.realpath(path) if os.path.islink(path) else f"{real_of(place)}/{name}"
+        if _is_in(folder, place) and not _is_in(real, target):
+            while not _is_in(real, real_of(os.path.dirname(path))):
                 path = os.path.dirname(path)
             raise InputError(
                 f"{path}: expected a file in {folder}, got a link that leaves it, to {target}; copy what it leads "

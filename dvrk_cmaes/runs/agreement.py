@@ -17,10 +17,11 @@ import numpy as np
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import ecm_readings
 from dvrk_cmaes.evaluate.consistency import spread_of_bases
+from dvrk_cmaes.io.json_file import read_json_object, write_json
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.pose.doubts import BASE_APART, base_apart
+from dvrk_cmaes.results.folder import result_path
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.manifest import update_result
 
 _LEAST_FRAMES: Final = 3
 _FACTOR: Final = 2.0  # of the squared distances from the own readings and from those of the other tool
@@ -117,7 +118,8 @@ def compare_bases(out: Path, results: Mapping[str, Result], limit_deg: float) ->
         found = (*own, *([far[name]] if name in far else ()))
         if found != result.reasons:
             result = replace(result, reasons=found, status="doubtful" if found else "ok")
-            update_result(out, name, status=result.status, reasons=list(found))
+            document = read_json_object(path := result_path(out, name), expected="a result")
+            write_json(path, {**document, "status": result.status, "reasons": list(found)})
         compared[name] = result
     return compared
 

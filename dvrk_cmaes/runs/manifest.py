@@ -26,7 +26,7 @@ from dvrk_cmaes.config import __version__
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.frames.frame import FrameFiles, readable
 from dvrk_cmaes.frames.session_folder import Session
-from dvrk_cmaes.io.json_file import json_text, read_json_object, write_json
+from dvrk_cmaes.io.json_file import json_text, read_json_object
 from dvrk_cmaes.io.short_text import in_order, listed, natural
 from dvrk_cmaes.io.typed_document import convert_document
 from dvrk_cmaes.results.folder import (
@@ -288,9 +288,3 @@ def earlier_results(out: Path, chosen: Collection[str], session: Collection[str]
     if (out / SESSION).exists():
         read_calibration(out / SESSION)
     return found
-
-
-def update_result(out: Path, name: str, **fields: Any) -> None:
-    """Replace fields of a result that is there."""
-    path = result_path(out, name)
-    write_json(path, {**read_json_object(path, expected="a result"), **fields})
