@@ -75,7 +75,7 @@ class Robot:
             self.trackers.setdefault(arm, []).append(Tracker(rig))
             return self.trackers[arm][-1]
 
-        outputs = Outputs(self.wire, FrameNames(arm))
+        outputs = Outputs(self.wire, FrameNames(arm, "camera", f"{arm}_base"))
         return LiveArm(arm, make, outputs, self.lines.append, self.clock)
 
     def send(self, topic: str, fields: Mapping[str, Any]) -> None:
