@@ -21,7 +21,7 @@ from dvrk_cmaes import EstimateConfig, FrameData, InputError, ReadingSeries, Ses
 from dvrk_cmaes.calibration.lag import SessionLag
 from dvrk_cmaes.calibration.session_loop import started
 from dvrk_cmaes.calibration.session_problem import ArmSession, ArmSetup
-from dvrk_cmaes.camera.files import read_camera_file, read_intrinsics
+from dvrk_cmaes.camera.files import read_camera_file
 from dvrk_cmaes.camera.rig_files import read_rig
 from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.images import read_mask
@@ -196,19 +196,6 @@ def test_lag_beyond_the_range_is_not_found(reports: Path, later: float) -> None:
     assert found.lag is None
     assert "not determined in the range searched, -3 to +3 s" in found.undetermined
     assert "beyond" in found.undetermined
-
-
-def test_lens_of_a_camera_file_is_read_under_its_usual_names(reports: Path) -> None:
-    lenses = [
-        read_intrinsics(path).distortion
-        for folder in ("camera-distortion-dropped", "camera-documented-json-refused")
-        for path in sorted((reports / folder).glob("*.[jy]*"))
-    ]
-    assert len(lenses) == 8
-    assert {lens[:2] for lens in lenses} == {(-0.32, 0.11)}
-    for path in (reports / "camera-k1-number").glob("*.json"):
-        with pytest.raises(InputError, match=r"expected a camera file: .* got the fields "):
-            read_camera_file(path)
 
 
 @pytest.mark.parametrize(
