@@ -25,7 +25,6 @@ from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.silhouette import Body, OutlinePoints
 
-_STEPS = 10  # largest number of Gauss-Newton steps between two estimates of the variances
 _SETTLED = 0.25  # standard deviations of the blocks, below which the outlines are not linearised again
 PASSES = 6
 """Largest number of linearisations of the outlines."""
@@ -125,7 +124,7 @@ def linearise(arms: Arms, *, passes: int = PASSES, first: Sequence[FrameFits] | 
     for _ in range(passes):
         fits = list(map(linearised, arms, common)) if fits is None else fits
         frames = [ArmFrames(arm.model, own, arm.calibration) for arm, own in zip(arms, fits, strict=True)]
-        last = solve_with_variances(frames, arms[0].setup.config.session, steps=_STEPS)
+        last = solve_with_variances(frames, arms[0].setup.config.session)
         if all(map(_settled, last)) or not plausible(last):
             break
         arms = [arm.with_solution(one, moved=one.at) for arm, one in zip(arms, last, strict=True)]

@@ -219,11 +219,6 @@ class StoredFrame:
         """Return the number of the view of that name; None if it does not show the instrument."""
         return next((k for k, one in enumerate(self.views) if one.name == view), None)
 
-    @property
-    def in_reference(self) -> bool:
-        """Whether the reference camera shows the instrument."""
-        return bool(np.array_equal(self.views[0].view_from_camera, np.eye(4)))
-
 
 def camera_remarks(stored: StoredFrame) -> tuple[str, ...]:
     """Return what is unusual about the camera files of a frame."""

@@ -193,8 +193,9 @@ class ArmSession(ArmModes):
 
         The view is that of the reference camera; another one if that does not show the instrument in any frame.
         """
-        shown = [stored for stored in self.stored if stored.in_reference] or self.stored
-        name, pairs = str(shown[0].views[0].name), zip(self.fits, self.stored, strict=True)
+        first = [stored.views[0] for stored in self.stored]  # that of the reference camera, where it shows it
+        name = next((view.name for view in first if np.array_equal(view.view_from_camera, np.eye(4))), first[0].name)
+        pairs = zip(self.fits, self.stored, strict=True)
         return [stored.number_of(name) if fit.explains_mask else None for fit, stored in pairs]
 
     @property

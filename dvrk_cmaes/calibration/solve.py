@@ -31,8 +31,7 @@ from dvrk_cmaes.pose.terms.term import Quadratic
 _ROBUST = 2.0
 """Scale of the Geman-McClure weights, in expected errors: a frame's weight is 1 up to one and 0.4 at two."""
 
-MOST_STEPS = 30
-"""Largest number of steps of an estimation; where weights of outliers fall, it converges slowly."""
+_MOST_STEPS = 30  # of an estimation; where weights of outliers fall, it converges slowly
 
 _MODE_ITERATIONS = 5  # largest number of alternations between choosing the frames' modes and solving
 _LEAST_EIGENVALUE = 1e-12  # of an information matrix whose diagonal is scaled to 1
@@ -246,7 +245,7 @@ def inverse_information(information: Float64) -> Float64:
     return np.asarray((vectors / np.maximum(values, _LEAST_EIGENVALUE)) @ vectors.T / np.outer(scale, scale))
 
 
-def solve_arms(arms: Sequence[ArmFrames], *, steps: int = MOST_STEPS) -> list[Solved]:
+def solve_arms(arms: Sequence[ArmFrames]) -> list[Solved]:
     """Estimate the calibrations of all arms of a session by iteratively reweighted Gauss-Newton steps.
 
     Parameters
@@ -254,11 +253,9 @@ def solve_arms(arms: Sequence[ArmFrames], *, steps: int = MOST_STEPS) -> list[So
     arms
         The frames of each arm, with the values of its blocks in the first linearisation; blocks that are shared have
         the same values.
-    steps
-        Largest number of steps.
     """
     solutions = solution_at(arms)
-    for _ in range(steps):
+    for _ in range(_MOST_STEPS):
         whole = solutions[0].whole
         step = -np.asarray(np.linalg.solve(whole.information, whole.gradient), dtype=np.float64)
         changed = [one.calibration.changed(step[place]) for one, place in zip(solutions, whole.places, strict=True)]
@@ -338,13 +335,13 @@ def leave_one_out(solution: Solved, index: int) -> Calibration:
     return solution.calibration.changed(np.linalg.solve(information, solution.frame_slopes[index]))
 
 
-def solve_with_variances(arms: Sequence[ArmFrames], config: SessionConfig, *, steps: int = MOST_STEPS) -> list[Solved]:
+def solve_with_variances(arms: Sequence[ArmFrames], config: SessionConfig) -> list[Solved]:
     """Alternate between estimating the calibrations and the variances of each arm; arguments as in `solve_arms`.
 
     The models of the solutions have the variances that were estimated last. ``config`` is as in `estimate_variances`.
     """
     for _ in range(_ITERATIONS):
-        solutions = [estimate_variances(own, config) for own in solve_arms(arms, steps=steps)]
+        solutions = [estimate_variances(own, config) for own in solve_arms(arms)]
         arms = solutions
     return solutions
 
