@@ -6,6 +6,7 @@ joints that are predicted of the frames, a `SeenBlock` of the points of their ou
 
 from __future__ import annotations
 
+import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -39,6 +40,8 @@ CLEAR: Final = 3.0
 NAMED: Final = 2.5
 """Standard deviations from the value of a file, above which one of several unknowns is named."""
 _WEAK: Final = 50.0  # times a prior's standard deviations, where it hardly counts
+_CARELESS, _SHARES = 3.0, np.array([0.3, 0.05])
+"""Factor on the errors of a file that was made with less care; shares of such files, and of those of another thing."""
 
 
 class Block:
@@ -360,3 +363,22 @@ def with_mixture(
     weights = softmax(np.log([share for share, _ in priors]) - 0.5 * np.array(whole))
     squares = [spread + np.outer(mean, mean) for mean, spread in each]
     return np.einsum("k,ki->i", weights, [mean for mean, _ in each]), np.einsum("k,kij->ij", weights, squares)
+
+
+def square_by_file(
+    alone: Float64, covariance: Float64, std: Float64, groups: Sequence[int], other: float = 10.0
+) -> Float64:
+    """Return the mean square (n, n) of the errors of values that are used as a file has them, by what frames show, too.
+
+    Errors of files have heavy tails. Their standard deviations are ``std`` (n,); with some probability three times
+    these, or ``other`` times, where the file is that of another camera or tool. Values of one of the ``groups`` (n,),
+    numbered from 0, err alike. The less frames could show of such an error, the less probable is it taken to be.
+    """
+    numbers, factors = np.array(groups), np.array([1.0, _CARELESS, other])
+    known = (1 + np.diag(covariance) / (factors[1:, None] * std) ** 2) ** -2
+    wrong = [_SHARES * known[:, numbers == number].mean(axis=1) for number in range(max(groups) + 1)]
+    shares, priors = [np.array([1 - own.sum(), *own]) for own in wrong], []
+    for each in itertools.product(range(len(factors)), repeat=len(shares)):
+        share = float(np.prod([own[k] for own, k in zip(shares, each, strict=True)]))
+        priors.append((share, std * factors[np.array(each)[numbers]]))
+    return with_mixture(alone, covariance, priors)[1]

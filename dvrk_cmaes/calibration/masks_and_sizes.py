@@ -24,8 +24,8 @@ from dvrk_cmaes.calibration.blocks import (
     OutlineOfView,
     SeenBlock,
     ViewAsSeen,
+    square_by_file,
     with_mixture,
-    with_prior,
 )
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
@@ -113,6 +113,7 @@ def covariance_of_margin(
 
 _PART_STD = 0.01  # of the logarithms, of parts of tools of one kind
 _WIDE, _WEAK_SIZE = 0.05, 0.5  # of that of the whole, where outlines are linearised; where it is asked what is there
+_OTHER_TOOL = 20.0  # standard deviations of what is known of a size, by which those of another tool differ
 _LEAST: Final = {"radius": 0.02, "wrist": 0.04, "jaws": 0.04, "whole": 0.02}
 """Shares of the sizes, beyond which whole or part is another one.
 
@@ -163,9 +164,8 @@ class Sizes(SeenBlock):
                 than = more if off > 0 else less
                 doubts.append(f"{what} {abs(off):.0f} % (std {own:.0f}) {than} than the instrument's")
         text, doubt = f"sizes of the instrument: {', '.join(parts)}", f"{' and '.join(doubts)}: {OTHER_SIZES}"
-        mean, left = with_prior(alone, covariance, self.known)
         found = FoundBlock.of(self.sizes, (alone, std, self.weak), text, doubt if doubts else "")
-        return found, left + np.outer(mean, mean)
+        return found, square_by_file(alone, covariance, self.known, range(len(alone)), _OTHER_TOOL)
 
 
 class PartSizes(Sizes):

@@ -9,7 +9,6 @@ axis.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
@@ -24,7 +23,7 @@ from dvrk_cmaes.calibration.blocks import (
     SeenBlock,
     ViewAsSeen,
     distance,
-    with_mixture,
+    square_by_file,
     with_prior,
 )
 from dvrk_cmaes.calibration.model import SessionModel
@@ -47,8 +46,6 @@ PLAUSIBLE = 2.0  # of these; linearised farther away, outlines leave the image
 _MANY_FRAMES = 10
 _LEAST_INSERTION = 5e-3  # m, range of the readings
 _CONTRADICTION = 16.27  # squared distance from no change, of 99.9 % with three unknowns
-_WRONG_SHARE, _WRONG_STD = 0.05, 10.0
-"""Share of files of another zoom, crop or endoscope, as far as frames could show it, and their errors in usual ones."""
 IMPLAUSIBLE = (
     "camera: its estimate from these frames is not plausible; frames with other poses of the arm, above all another "
     "insertion, determine it better"
@@ -109,7 +106,7 @@ class CameraChange(CameraErrors):
         """State the change with which the session is solved, or what the frames show and the file."""
         change = self.start if self.used else alone
         found = stated_camera(change, covariance, self.known, self._camera, applied=self.used)
-        return found, covariance if self.used else _mean_square(change, covariance, self.known)
+        return found, covariance if self.used else square_by_file(change, covariance, self.known, (0, 1, 1))
 
 
 class Lens(CameraErrors):
@@ -138,7 +135,7 @@ class Lens(CameraErrors):
         stated = f"lens: fy / fx {100 * values[0]:+z.2f} % (std {100 * std[0]:.2f}), radial {values[1]:+z.3f}"
         text = f"{stated} (std {std[1]:.3f})"
         found = FoundBlock.of(self.parameters, (values, std, self.std), text, doubt if clear else "")
-        return found, left + np.outer(values, values)
+        return found, square_by_file(alone, covariance, self.std, (0, 1))
 
 
 def stated_camera(change: Float64, covariance: Float64, file: Float64, camera: Camera, *, applied: bool) -> FoundBlock:
@@ -207,20 +204,6 @@ def camera_undetermined(model: SessionModel, least: int = _MANY_FRAMES, purpose:
             f"{purpose} its focal length"
         )
     return None
-
-
-def _mean_square(change: Float64, covariance: Float64, file: Float64) -> Float64:
-    """Return the mean square (3, 3) of the errors of a camera file that is used as it is, by what frames and file show.
-
-    A file is a measurement with the standard deviations ``file``, or with some probability one of another focal length,
-    another principal point or both, of which frames say more the better they show the camera.
-    """
-    known = (1 + np.diag(covariance) / (_WRONG_STD * file) ** 2) ** -2
-    shares, priors = _WRONG_SHARE * np.array([known[0], known[1:].mean()]), []
-    for wrong in itertools.product((False, True), repeat=2):
-        std = file * np.where([wrong[0], wrong[1], wrong[1]], _WRONG_STD, 1.0)
-        priors.append((float(np.where(wrong, shares, 1 - shares).prod()), std))
-    return with_mixture(change, covariance, priors)[1]
 
 
 def file_deviations(camera: Camera, config: CameraConfig, parameters: Sequence[str]) -> Float64:
