@@ -240,6 +240,8 @@ def main(folder: str, port: int = 9090) -> None:
     """Send a session folder's messages once, when a client has subscribed to them; ``port`` 0 is any that is free."""
     robot, server = Robot(folder), RosbridgeServer(port)
     messages = robot.messages()  # before a client waits for the first one
+    kinds = (robot.cameras(), "CameraInfo"), (robot.evidence, "CompressedImage"), (robot.joints.values(), "JointState")
+    server.topics = {topic: f"sensor_msgs/{kind}" for topics, kind in kinds for topic in topics}
     server.start()
     print(f"dvrk-cmaes live --port {server.port} {robot.options}", flush=True)
     while not {*robot.evidence, *robot.joints.values()} <= server.subscribed.keys():
