@@ -16,7 +16,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.export.pose_texts import table_text
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.io.json_file import write_json, write_text
-from dvrk_cmaes.io.output import Output, output
+from dvrk_cmaes.io.output import Output, output, remove
 from dvrk_cmaes.io.short_text import in_order
 from dvrk_cmaes.joints.prior import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.pose.config_check import check_config
@@ -77,8 +77,9 @@ def run_batch(
 ) -> BatchSummary:
     """Estimate the frames of an arm that have no result in a folder yet, and write results, tables and page.
 
-    The results do not depend on workers, executor or order. Worker processes are spawned, so a script that
-    calls this function must do so below ``if __name__ == "__main__":``.
+    The results do not depend on workers, executor or order, but where masks are found in images those of frames that do
+    not agree with most others depend on these. Worker processes are spawned, so a script that calls this function must
+    do so below ``if __name__ == "__main__":``.
 
     Parameters
     ----------
@@ -137,7 +138,8 @@ def run_batch(
             ran += 1
             statuses[outcome.result.status] += 1
             workers.report(ran, len(todo), f", {statuses['doubtful']} doubtful, {statuses['failed']} failed")
-        whole = ran == len(todo) and (not todo or _look_again(out, arm, workers))
+        looked = not todo and (out / SUMMARY).is_file()  # which is written after that
+        whole = ran == len(todo) and (looked or _look_again(out, arm, workers))
         finished = finish(out, (ran, time.monotonic() - started), method.config.trust)
     document, interrupted = finished.summary or {}, workers.stop.is_set() and not whole
     return BatchSummary(ran, interrupted, document, finished.frames)
@@ -205,6 +207,8 @@ def _look_again(out: Path, arm: ArmInSession, workers: Workers) -> bool:
     if not again:
         return True
     workers.notice(f"{len(again)} images are looked at again, where the others expect the instrument")
+    for name in results_of([files.name for files in again], arm.session.rig.names):
+        remove(out / name)  # if the batch ends before it has others, it is resumed with these frames
     for outcome in outcomes(arm, again, workers):
         write_outcome(out, outcome)
         found += 1

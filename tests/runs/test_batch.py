@@ -12,11 +12,14 @@ from pathlib import Path
 
 import pytest
 from helpers.batch_sessions import QUICK_CONFIG, comparable, make_session
+from helpers.done_once import found_by_model
+from helpers.files import read_mask
 
-from dvrk_cmaes import Body, EstimateConfig, InputError, prepare, read_session
+from dvrk_cmaes import Body, EstimateConfig, InputError, Result, prepare, read_session
 from dvrk_cmaes.estimation.one_tool import FrameMethod
+from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.runs.batch import BatchSummary, finish, run_batch
-from dvrk_cmaes.runs.frame import ArmInSession
+from dvrk_cmaes.runs.frame import ArmInSession, FrameOutcome, write_outcome
 from dvrk_cmaes.runs.pool import Workers
 
 pytestmark = pytest.mark.usefixtures("estimates_shared")
@@ -89,6 +92,37 @@ def test_failed_frames_are_repeated(batch: Batch, two: Path, tmp_path: Path) -> 
     done = batch(two)
     assert (done.ran, done.document["counts"]["failed"]) == (1, 0)
     assert comparable(tmp_path / "out") == comparable(tmp_path / "sound")
+
+
+@pytest.mark.parametrize("kept", [True, False], ids=["before", "after some"])
+def test_batch_that_ends_while_images_are_looked_at_again_is_resumed_with_these(
+    batch: Batch, two: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: bool
+) -> None:
+    found_by_model(monkeypatch, read_mask(two / "masks" / "0002.png"), 0.9)
+    (two / "images").mkdir()
+    shutil.move(two / "masks" / "0002.png", two / "images")
+    looked = list[set[str]]()
+
+    def elsewhere(arm: ArmInSession, results: dict[str, Result]) -> list[FrameFiles]:
+        looked.append({*results})
+        if kept and len(looked) == 1:
+            raise MemoryError
+        return [replace(arm.session.frames[1], start=results["0002"])]
+
+    def killed(out: Path, outcome: FrameOutcome) -> None:
+        if looked == [{"0001", "0002"}]:
+            raise MemoryError
+        write_outcome(out, outcome)
+
+    monkeypatch.setattr("dvrk_cmaes.runs.expected.expected_elsewhere", elsewhere)
+    monkeypatch.setattr("dvrk_cmaes.runs.batch.write_outcome", killed)
+    with pytest.raises(MemoryError):
+        batch(two)
+    looked.append(set())
+    assert [batch(two).ran for _ in range(2)] == [0 if kept else 1, 0]
+    assert looked == [{"0001", "0002"}, set(), {"0001", "0002"}]
+    batch(two, "whole")
+    assert comparable(tmp_path / "out") == comparable(tmp_path / "whole")
 
 
 def test_settings_may_change_while_all_frames_have_failed(batch: Batch, two: Path, tmp_path: Path) -> None:
