@@ -8,7 +8,6 @@ summary : ``summary.json``, and rigs that are calibrated wrongly.
 agreement : what all frames of a session state together: frames whose base differs, arms with each other's masks or
 readings.
 backgrounds : backgrounds that are learned from the images of a session.
-expected : frames whose images show the instrument elsewhere than most others expect it.
 batch : `run_batch`, which estimates the frames of a session that have no result, and `finish`, which writes tables and
 page.
 track, track_inputs, track_outputs : instruments followed through a session folder.

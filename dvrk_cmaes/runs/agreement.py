@@ -1,13 +1,14 @@
-"""What all frames of a session show together: frames whose base differs, and arms with each other's masks or readings.
+"""What all frames of a session show together: frames that disagree on the base, arms with each other's masks or joints.
 
-Either the joints found for each of two tools are nearer to the readings of the other, or both are not ok in the same
-frames.
+Of two arms, either the joints found for each tool are nearer to the readings of the other, or both are not ok in the
+same frames. Where a mask was found in an image, that is looked at again where most frames expect the instrument.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Final
@@ -17,17 +18,21 @@ import numpy as np
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import ecm_readings
 from dvrk_cmaes.evaluate.consistency import spread_of_bases
+from dvrk_cmaes.frames.frame import FrameFiles, read_frame
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.io.json_file import read_json_object, write_json
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.pose.doubts import BASE_APART, base_apart
 from dvrk_cmaes.results.folder import result_path
 from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.runs.frame import ArmInSession
 
 _LEAST_FRAMES: Final = 3
 _FACTOR: Final = 2.0  # of the squared distances from the own readings and from those of the other tool
 _JOINTS: Final = ("wrist_pitch", "wrist_yaw", "jaw")
 _LEAST_FOLLOWED: Final = 15  # frames at the end of a recording
 _LEAST_OFF: Final = np.deg2rad(30)  # from the own readings there, of both tools together; more than cables explain
+_FEWEST: Final = 6  # frames with a pose, by which others are expected
 _LEAST_SHARED: Final = 0.75  # share of the frames in which one of two tools is not ok that must not be ok for both
 
 
@@ -153,3 +158,39 @@ def base_doubts(results: Mapping[str, Result], limit_deg: float) -> dict[str, st
             if (text := base_apart(float(angle), limit)) is not None
         }
     return {name: reasons[name] for name in bases if name in reasons}
+
+
+def expected_elsewhere(arm: ArmInSession, results: Mapping[str, Result]) -> list[FrameFiles]:
+    """Return the frames whose masks were found in images and do not agree with most others on where the base is.
+
+    ``results`` are those of frames by name, each by its own image. Each frame that is returned starts where those that
+    agree expect it; one in which nothing was found is among them. There are none if fewer than 70 % of them agree.
+    """
+    from dvrk_cmaes.calibration.calibrate import in_threads
+    from dvrk_cmaes.calibration.session_frame import SessionFrame
+    from dvrk_cmaes.calibration.session_loop import predict_from_first
+    from dvrk_cmaes.calibration.session_problem import ArmSetup
+
+    body, method, session = arm.body, arm.method, arm.session
+    images = {own.name: own for own in session.frames if own.has_image and not own.has_mask and own.prompts is None}
+    frames = [
+        SessionFrame(name, partial(read_frame, own, session.rig), results[name], time=own.time)
+        for name, own in images.items()
+        if name in results
+    ]
+    found = [frame for frame in frames if not frame.lacks]
+    by_classic = method.segment is None or method.segment.model == "classic"
+    if len(found) < _FEWEST or method.session is not None or not by_classic:
+        return []
+    config = method.config.with_alike_masks()
+    run = partial(in_threads, body, config)
+    setup = ArmSetup(session.reading_series(), body.instrument, method.arm, config, run)
+    expected = predict_from_first(found, {frame.name: images[frame.name].readings for frame in frames}, setup)
+    names = body.instrument.joint_names
+    return [replace(images[name], start=start_at(found[0].result, at, names)) for name, at in expected.items()]
+
+
+def start_at(like: Result, at: Posed, names: tuple[str, ...]) -> Result:
+    """Return the result of a frame ``like`` another one's, at a pose that is expected, from which it starts."""
+    joints = dict(zip(names, at.joints.tolist(), strict=True))
+    return replace(like, camera_from_root=at.pose, joints=joints, alternatives=())

@@ -23,7 +23,7 @@ from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.results.folder import SUMMARY, ResultsFolder, check_output, read_results
 from dvrk_cmaes.results.pose_rows import pose_rows
 from dvrk_cmaes.results.result import Result, Status
-from dvrk_cmaes.runs.agreement import compare_bases
+from dvrk_cmaes.runs.agreement import compare_bases, expected_elsewhere
 from dvrk_cmaes.runs.backgrounds import with_backgrounds
 from dvrk_cmaes.runs.frame import (
     ArmInSession,
@@ -201,8 +201,6 @@ def _look_again(out: Path, arm: ArmInSession, workers: Workers) -> bool:
     """Find masks again in images that do not agree with most others, where these expect the tool; whether in all."""
     if all(files.has_mask for files in arm.session.frames):
         return True
-    from dvrk_cmaes.runs.expected import expected_elsewhere
-
     again, found = expected_elsewhere(arm, read_results(out, summary=False).frames), 0
     if not again:
         return True

@@ -31,7 +31,7 @@ from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.expected import start_at
+from dvrk_cmaes.runs.agreement import start_at
 from dvrk_cmaes.runs.frame import estimate_frame
 from dvrk_cmaes.runs.recording import RecordedFrames, RecordedSolution, predict, read_seen
 from dvrk_cmaes.segment import segment

@@ -114,7 +114,7 @@ def test_batch_that_ends_while_images_are_looked_at_again_is_resumed_with_these(
             raise MemoryError
         write_outcome(out, outcome)
 
-    monkeypatch.setattr("dvrk_cmaes.runs.expected.expected_elsewhere", elsewhere)
+    monkeypatch.setattr("dvrk_cmaes.runs.batch.expected_elsewhere", elsewhere)
     monkeypatch.setattr("dvrk_cmaes.runs.batch.write_outcome", killed)
     with pytest.raises(MemoryError):
         batch(two)
