@@ -314,9 +314,9 @@ class Calibration:
 
     def place(self, name: str) -> slice:
         """Return where a block is among the components of a step."""
-        ends = np.cumsum([len(block.std) for block in self.blocks]).tolist()
-        ((end, own),) = ((end, block) for end, block in zip(ends, self.blocks, strict=True) if block.name == name)
-        return slice(end - len(own.std), end)
+        number = [block.name for block in self.blocks].index(name)
+        ends = np.cumsum([0, *(len(block.std) for block in self.blocks)]).tolist()
+        return slice(ends[number], ends[number + 1])
 
     def changed(self, step: Float64) -> Calibration:
         """Return the calibration after a step (K,)."""
