@@ -59,10 +59,8 @@ class FrameFits:
     def of_modes(cls, arm: ArmModes, chosen: Indices) -> FrameFits:
         """Take the modes of some numbers (N,) as fits with zero slope and the inverse of the modes' covariances."""
         none = np.zeros(arm.covariances.shape[:2])
-        at, information = (
-            arm.mode(np.arange(len(chosen)), chosen),
-            np.asarray(np.linalg.inv(arm.covariances), np.float64),
-        )
+        at = arm.mode(np.arange(len(chosen)), chosen)
+        information = np.asarray(np.linalg.inv(arm.covariances), np.float64)
         return cls(at, Quadratic(information, none), CommonErrors(np.full(len(chosen), np.nan), none))
 
     @cached_property
@@ -232,10 +230,8 @@ class Solved(ArmFrames):
 
     def moved_by(self, block: SeenBlock) -> Float64:
         """Return by how much the calibration is off per unit of a block, (L, n), L unknowns that are predicted."""
-        own = slice(0, self.calibration.own)
-        return (
-            inverse_information(self.information[own, own]) @ self.information[own, self.calibration.place(block.name)]
-        )
+        own, place = slice(0, self.calibration.own), self.calibration.place(block.name)
+        return inverse_information(self.information[own, own]) @ self.information[own, place]
 
 
 def inverse_information(information: Float64) -> Float64:
