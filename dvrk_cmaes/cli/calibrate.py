@@ -210,7 +210,7 @@ def calibrate(
     with output_folder(wanted.out, session, "calibration", "calibrate") as target:
         setup = read_setup_joints(session / SETUP)
         focal = wanted.guess(given.camera.camera)
-        read = open_session(session, given, joints=wanted.joints, reading=reading, focal=focal)
+        read = open_session(session, given, joints=wanted.joints, reading=reading, focal=focal, together=True)
         arms = {name: wanted.share(arm) for name, arm in read.items()}
         for name, arm in arms.items():
             check_outer_joints([files.readings for files in arm.session.frames])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar
 
@@ -11,6 +11,7 @@ from dvrk_cmaes.cli.terminal import Line, show
 from dvrk_cmaes.errors import InputError, nearest_first
 
 _RELATIVE_LINK = re.compile(r"\[([^\]]*)\]\((?!\w+://)[^)]*\)")
+_LONG = 240  # characters of a line of which only the sentences and cells with the words are printed
 
 
 def help_topic(topic: str | None = None, /, *, search: str | None = None) -> int:
@@ -30,8 +31,8 @@ def help_topic(topic: str | None = None, /, *, search: str | None = None) -> int
     topic
         Name of the page, or of a command.
     search
-        Words, small or large, in any order: print the lines of pages that have all, after their topic; of one topic
-        if that is given.
+        Words, small or large, in any order: print the lines of pages that have all, of a long line the sentences with
+        them, after their topic; of one topic if that is given.
     """
     pages = topic_pages()
     if topic is None and search is None:
@@ -67,7 +68,7 @@ def _lines_with(text: str, pages: Mapping[str, Path]) -> list[Line]:
     """Give the lines of pages that have all words of a text, in any case and order; InputError if none has."""
     words = text.casefold().split()
     found = [
-        Line(f"{topic}: {_RELATIVE_LINK.sub(lambda link: link[1], line).strip(' |')}")
+        Line(f"{topic}: {_part_with(words, _RELATIVE_LINK.sub(lambda link: link[1], line).strip(' |'))}")
         for topic, path in pages.items()
         for line in path.read_text(encoding="utf-8").splitlines()
         if all(word in line.casefold() for word in words)
@@ -75,6 +76,12 @@ def _lines_with(text: str, pages: Mapping[str, Path]) -> list[Line]:
     if not found:
         raise InputError(f"help: --search: expected words of the pages, got {text[:40]!r}, which no line of them has")
     return found
+
+
+def _part_with(words: Sequence[str], line: str) -> str:
+    """Return a line, or the beginning of a long one and its sentences and cells that have one of the words."""
+    first, *parts = [line] if len(line) <= _LONG else re.split(r"(?<=[.;|]) ", line)
+    return " ... ".join([first, *(part for part in parts if any(word in part.casefold() for word in words))])
 
 
 def _print_markdown(text: str) -> None:

@@ -30,6 +30,7 @@ def open_session(
     joints: Sequence[Path] = (),
     reading: ReadingOptions = ReadingOptions(),
     ahead: bool = True,
+    together: bool = False,
     **overrides: Any,
 ) -> dict[str, ArmInSession]:
     """Describe the arms of a session, or those asked for, by folder of results: what each sees, and how it is solved.
@@ -39,7 +40,8 @@ def open_session(
     with its own masks and readings, and its calibration.
 
     ``single``: whether the command works on one arm. ``joints`` are as of `joint_files`, ``overrides`` as of
-    `read_session`. With ``ahead``, texts and borders over the images are looked for.
+    `read_session`. With ``ahead``, texts and borders over the images are looked for. ``together``: whether frames are
+    solved together, which needs readings.
 
     Raises
     ------
@@ -51,6 +53,7 @@ def open_session(
     from dvrk_cmaes.frames.overlays import with_overlaid
     from dvrk_cmaes.frames.session_folder import NO_READINGS, read_session
     from dvrk_cmaes.frames.session_toml import SESSION_FILE, ToolEntry, read_session_toml
+    from dvrk_cmaes.joints.names import OUTER_JOINTS
     from dvrk_cmaes.runs.frame import ArmInSession
 
     entries, only, own = read_session_toml(folder), given.only, given.instrument
@@ -68,6 +71,9 @@ def open_session(
         session = read_session(folder, arm=arm, known=body.instrument.joint_names, **asked)
         session = with_overlaid(session) if ahead else session
         if files is not None and NO_READINGS in session.notes:
+            if together:
+                outer = ", ".join(OUTER_JOINTS)
+                raise InputError(f"{folder}: expected readings of {outer} (joints.csv, or --joints FILE), got none")
             note(f"{folder}: no joints.csv, as with --joints none: {TWIN}")
         for text in session.warnings:
             warn(f"{folder}: {text}")

@@ -71,6 +71,7 @@ _CAMERAS = (
     *("camera_info.yaml", "camera_calibration.txt", "calibration.yaml"),
 )
 _TABLES = ("images.csv", "keypoints.csv", "boxes.csv", "markers.csv", "poses.csv")
+_MASKS = ("masks", "SegmentationClass")  # the latter of CVAT and VOC
 _NOT_MASKS = ("images", "ignore", "golden.json", "run.json")
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 _TOPIC_DUMP = re.compile(r"(.*_)?(measured_js|state_joint_current|state_jaw_current)\.(csv|ya?ml|txt)", re.IGNORECASE)
@@ -241,7 +242,7 @@ def read_session(
         masks = root / "labels"
     read_as = replace(read_as, arm=read_as.arm or tool.arm or None, columns=read_as.columns or tool.columns)
     joints = joints if joints is None or joints or tool.joints is None else (tool.joints,)
-    mask_folder = masks or root / "masks"
+    mask_folder = masks or next((root / name for name in _MASKS if (root / name).is_dir()), root / _MASKS[0])
     if masks is not None or video is not None or is_session_layout(root) or not is_published_layout(root):
         frames, readings, times, notes = _session_frames(root, mask_folder, tuple(known), joints, read_as, video)
         notes = ("a session folder of two views" if _is_stereo(root, mask_folder) else "a session folder", *notes)
@@ -330,8 +331,8 @@ def _is_stereo(root: Path, masks: Path) -> bool:
 
 
 def is_session_layout(root: Path) -> bool:
-    """Whether a folder has a folder ``masks`` or ``images``."""
-    return (root / "masks").is_dir() or (root / "images").is_dir()
+    """Whether a folder has a folder of masks, or ``images``."""
+    return any((root / name).is_dir() for name in (*_MASKS, "images"))
 
 
 def _image_folder(root: Path) -> Path:

@@ -27,6 +27,7 @@ from dvrk_cmaes.frames.coco_mask import FILES, frames_of
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.images import MOST_LABELS, THRESHOLD, looks_like_mask, read_ignore, read_image, read_mask
 from dvrk_cmaes.frames.keypoints import read_boxes, read_keypoints
+from dvrk_cmaes.frames.label import named
 from dvrk_cmaes.frames.markers import read_detections
 from dvrk_cmaes.frames.published_layout import is_published_layout
 from dvrk_cmaes.frames.session_folder import WARNED, Session, read_session
@@ -309,6 +310,9 @@ def _inspect_picture(path: Path) -> Finding:
     size = f"{width} x {height} px"
     grey = pixels[:, :, 0]
     if not (np.array_equal(grey, pixels[:, :, 1]) and np.array_equal(grey, pixels[:, :, 2])):
+        if looks_like_mask(pixels):
+            rule = "few colours: labels; --label '#...' says which is the instrument, or label in session.toml"
+            return Finding("mask of labels", (f"{size}, the colours {named(pixels)}",), read, (rule,))
         return Finding("image", (_next_of("estimate", "--image", path, beside=path), f"{size}, in colour"), read)
     if path.parent.name == "ignore":
         share = float(read_ignore(path).mean())

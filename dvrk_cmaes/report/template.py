@@ -91,7 +91,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Player:
-    """Pictures of a recording in their order: their names, times, s, addresses and statuses; and a file to play."""
+    """Pictures of a recording: names, times, s, addresses ("" where an entry has it), statuses; and a file to play."""
 
     frames: Sequence[str]
     times: Sequence[float]

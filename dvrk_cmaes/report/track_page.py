@@ -131,10 +131,11 @@ def track_page(recording: FollowedRecording) -> Page:
         reasons = [event.reason] if event.reason else []
         entries.append(Entry(row["frame"], event.status, pictures, [f"{when}{stretch}"], reasons, seek=seek))
     notes = [f"{len(events) - _MOST_EVENTS} more places to look at."] if len(events) > _MOST_EVENTS else []
+    own = {event.first for event in events[:_MOST_EVENTS]}  # whose pictures the player takes from their entries
     player = Player(
         [rows[k]["frame"] for k in numbers],
         [round(float(times[k]), 3) for k in numbers],
-        list(recording.pictures.values()),
+        ["" if k in own else picture for k, picture in recording.pictures.items()],
         [rows[k]["status"] for k in numbers],
         recording.video,
     )

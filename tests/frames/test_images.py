@@ -94,7 +94,8 @@ def test_colour_or_transparent_mask_is_refused(tmp_path: Path) -> None:
     colour = np.zeros((4, 4, 3), np.uint8)
     colour[1, 1, 2] = 255
     assert message(stored(tmp_path, colour)) == (
-        "expected a mask in grey, of labels by --label 1 or '#00ff00', got a colour image"
+        "expected a mask in grey, of labels by --label 1 or '#00ff00' (of a session: label of a [[tool]] in "
+        "session.toml), got the colours #000000, #ff0000"
     )
     clear = np.dstack([np.repeat(grey()[:, :, None], 3, axis=2), grey()])
     assert (

@@ -212,12 +212,21 @@ def test_masks_that_pair_with_no_image_are_named_and_two_of_one_image_refused(tm
 
 def test_masks_and_readings_of_other_names_are_named(tmp_path: Path) -> None:
     folder = demo_as(tmp_path)
-    (folder / "masks").rename(folder / "SegmentationClass")
+    (folder / "masks").rename(folder / "SegmentationClass")  # CVAT's
+    assert "of these with masks 5, images 5, readings 5" in run("inspect", folder).out
+    redraw(folder, lambda picture: picture * np.array([1, 1, 0], np.uint8), "SegmentationClass")
+    assert "of a [[tool]] in session.toml), got the colours #000000, #00ffff" in run("inspect", folder).err
+    (folder / "session.toml").write_text('[[tool]]\narm = "PSM1"\nlabel = "#00ffff"\n')
+    assert run("inspect", folder).code == 0
+    (folder / "session.toml").unlink()
+    redraw(folder, lambda picture: picture.max(axis=2), "SegmentationClass")
+    (folder / "SegmentationClass").rename(folder / "annotated")
     (folder / "joints.csv").rename(folder / "kinematics.csv")
     ran = run("inspect", folder)
     assert "of these with masks 0, images 5, readings 0" in ran.out
-    assert "not read: SegmentationClass, kinematics.csv: session.toml can name" in ran.out
-    toml = '[[tool]]\narm = "PSM1"\nmasks = "SegmentationClass"\njoints = "kinematics.csv"\n'
+    assert "not read: annotated, kinematics.csv: session.toml can name" in ran.out
+    assert "expected readings of yaw, pitch, insertion, roll (joints.csv" in run("calibrate", folder).refusal
+    toml = '[[tool]]\narm = "PSM1"\nmasks = "annotated"\njoints = "kinematics.csv"\n'
     (folder / "session.toml").write_text(toml)
     ran = run("inspect", folder)
     assert "with masks 5, images 5, readings 5" in ran.out

@@ -84,6 +84,7 @@ def test_recording_plays_and_a_click_in_a_curve_goes_there(page: WebDriver, repo
     assert page.find_element("id", "play").text == "play"
     page.find_element("css selector", "[data-seek]").click()
     assert where.text == "0003, lost"
+    assert page.execute_script("return shown.src && shown.src === document.querySelector('article img').src")
     page.find_element("css selector", "svg[data-seeks]").click()  # in its middle
     assert where.text in ("0012, ok", "0015, ok")
 

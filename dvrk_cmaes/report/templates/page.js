@@ -36,8 +36,11 @@ if (data) {
   });
   at.addEventListener("input", () => { stop(); show(Number(at.value)); });
   const go = (k) => { stop(); show(k); document.getElementById("player").scrollIntoView({block: "nearest"}); };
-  for (const button of document.querySelectorAll("[data-seek]"))
-    button.addEventListener("click", () => go(Number(button.dataset.seek)));
+  for (const button of document.querySelectorAll("[data-seek]")) {
+    const k = Number(button.dataset.seek);
+    pictures[k] = button.closest("article").querySelector("img").src;
+    button.addEventListener("click", () => go(k));
+  }
   for (const chart of document.querySelectorAll("[data-seeks]"))
     chart.addEventListener("click", (event) => {
       const [low, high, left, right] = chart.dataset.seeks.split(" ").map(Number);
