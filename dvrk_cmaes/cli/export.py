@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -12,6 +12,7 @@ from dvrk_cmaes.cli.options import OUTPUT, Flag, options
 from dvrk_cmaes.cli.terminal import Line, note, show, warn
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.export.table import FORMATS
+from dvrk_cmaes.io.short_text import listed
 
 if TYPE_CHECKING:
     from dvrk_cmaes.export.request import Exported
@@ -26,6 +27,7 @@ else:
 NAMES = Group.create_ordered("Names")
 DVRK = Group.create_ordered("dVRK")
 BAG = Group.create_ordered("ROS recording")
+_MOST_NAMED = 4  # files that are written
 
 
 @options(group=BAG)
@@ -206,47 +208,25 @@ def _results_folder(results: Path) -> Path:
 
 def _report(exported: Exported, to: str, written: Sequence[Path], *, json: bool) -> None:
     """Print what was exported, in the format tf the lines of its files, and warnings."""
-    for text in _warnings(exported):
+    base, direction = exported.base, FORMATS[to].direction
+    origin = "" if base is None else f"camera_from_base: {base.origin}"
+    for text in (*(() if base is None else base.warnings), *exported.notes):
         warn(text)
-    direction, texts = FORMATS[to].direction, exported.files.values() if to == "tf" else ()
-    publishers = "".join(data.decode() for data in texts).rstrip("\n")
+    if exported.left_out:
+        warn(f"no pose, left out ({len(exported.left_out)}): {listed(exported.left_out)}")
+    publishers = "".join(data.decode() for data in exported.files.values()).rstrip("\n") if to == "tf" else ""
     if json:
         from dvrk_cmaes.io.json_file import json_text
 
         document: dict[str, Any] = {"to": to, "direction": direction, "written": [str(path) for path in written]}
         document |= {"command": publishers} if to == "tf" else {}
-        document |= {} if exported.base is None else {"base": exported.base.to_dict()}
+        document |= {} if base is None else {"base": base.to_dict()}
         print(json_text({**document, "left_out": list(exported.left_out)}), end="")
     elif to == "tf":
-        note(_origin(exported))
+        note(origin)
         print(publishers)
     else:
-        show(_lines(exported, direction, written))
-
-
-def _origin(exported: Exported) -> str:
-    """Return the line about the source of ``camera_from_base``; empty if the format does not have it."""
-    return "" if exported.base is None else f"camera_from_base: {exported.base.origin}"
-
-
-def _lines(exported: Exported, direction: str, written: Sequence[Path]) -> Iterator[Line]:
-    """Yield the lines of an export: source of the base, direction, and the files written."""
-    if exported.base is not None:
-        yield Line(_origin(exported))
-    yield Line(f"exported: {direction}")
-    few = written if len(written) <= 4 else written[:3]
-    for path in few:
-        yield Line(f"written: {path}")
-    if len(few) < len(written):
-        yield Line(f"written: {len(written) - len(few)} more files")
-
-
-def _warnings(exported: Exported) -> Iterator[str]:
-    """Yield the warnings about the base, and one that lists frames without a pose."""
-    if exported.base is not None:
-        yield from exported.base.warnings
-    yield from exported.notes
-    if exported.left_out:
-        from dvrk_cmaes.io.short_text import listed
-
-        yield f"no pose, left out ({len(exported.left_out)}): {listed(exported.left_out)}"
+        few = written if len(written) <= _MOST_NAMED else written[: _MOST_NAMED - 1]
+        files = [*map(str, few), *([f"{len(written) - len(few)} more files"] if few != written else [])]
+        lines = *([origin] if origin else []), f"exported: {direction}", *(f"written: {name}" for name in files)
+        show(map(Line, lines))

@@ -22,12 +22,9 @@ from dvrk_cmaes.evaluate import Tolerance
 
 if TYPE_CHECKING:
     from dvrk_cmaes.evaluate.pose_check import PoseCheck
-    from dvrk_cmaes.frames.frame import FrameFiles
-    from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.frames.truth import FrameTruth
     from dvrk_cmaes.instrument import Instrument
     from dvrk_cmaes.results.result import Result
-    from dvrk_cmaes.runs.frame import ArmInSession
 
 TOLERANCE = Group.create_ordered("Tolerance")
 
@@ -75,6 +72,7 @@ def record(
     from dvrk_cmaes.frames.truth import FrameTruth, SessionTruth, write_golden
     from dvrk_cmaes.geometry import apply
     from dvrk_cmaes.results.folder import check_writable
+    from dvrk_cmaes.runs.frame import estimated
 
     path = session / "golden.json" if golden is None else golden
     if path.exists() and not overwrite:
@@ -84,7 +82,7 @@ def record(
     frames, model = arm.session.frames, arm.body.instrument
     kept: dict[str, FrameTruth] = {}
     left_out: dict[str, str] = {}
-    for result in tracked(_estimated(frames, arm), "Estimating", len(frames)):
+    for result in (estimated(arm, files).result for files in tracked(frames, "Estimating")):
         if result.camera_from_root is None or (result.status != "ok" and not allow_doubtful):
             left_out[result.frame] = f"{result.status}: {'; '.join(result.reasons)}"
             continue
@@ -139,6 +137,8 @@ def check(
     """
     from dvrk_cmaes.frames.paired_names import named_as
     from dvrk_cmaes.frames.truth import read_golden
+    from dvrk_cmaes.io.short_text import listed
+    from dvrk_cmaes.runs.frame import estimated
 
     for name, value in asdict(tolerance).items():
         if not value >= 0:
@@ -146,33 +146,17 @@ def check(
     path = session / "golden.json" if golden is None else golden
     (arm,) = open_session(session, given, single=True).values()
     kept = named_as([files.name for files in arm.session.frames], read_golden(path).frames)
-    _check_names(path, kept, arm.session)
+    if not kept:
+        raise InputError(f"{path}: frames: expected golden poses, got none")
+    there = {files.name for files in arm.session.frames}
+    if gone := [name for name in kept if name not in there]:
+        raise InputError(f"{path}: frames: expected frames of {arm.session.folder}, got {listed(gone)} too")
     frames = [files for files in arm.session.frames if files.name in kept]
-    results = tracked(_estimated(frames, arm), "Estimating", len(frames))
+    results = (estimated(arm, files).result for files in tracked(frames, "Estimating"))
     not_checked = [files.name for files in arm.session.frames if files.name not in kept]
     more, instrument = {"not_checked": not_checked}, arm.body.instrument
     right = answer_checks(results, kept, instrument, tolerance, more, modulo_twin=modulo_twin, json=json)
     return 0 if right else FAILED
-
-
-def _check_names(path: Path, golden: Iterable[str], session: Session) -> None:
-    """Raise InputError if there are no golden poses, or golden poses of frames that the session does not have."""
-    from dvrk_cmaes.io.short_text import listed
-
-    names = list(golden)
-    if not names:
-        raise InputError(f"{path}: frames: expected golden poses, got none")
-    there = {files.name for files in session.frames}
-    gone = [name for name in names if name not in there]
-    if gone:
-        raise InputError(f"{path}: frames: expected frames of {session.folder}, got {listed(gone)} too")
-
-
-def _estimated(frames: Iterable[FrameFiles], arm: ArmInSession) -> Iterator[Result]:
-    """Estimate frames of a session one after the other; a frame with an error gives a failed result with the reason."""
-    from dvrk_cmaes.runs.frame import estimated
-
-    return (estimated(arm, files).result for files in frames)
 
 
 def answer_checks(

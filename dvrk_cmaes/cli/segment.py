@@ -95,25 +95,24 @@ def segment(
         found = {}
         for frame, path in images.items():
             try:
-                found[frame] = segment_file(frame, path, settings, hints, threads, temporary, instrument)
+                files, found[frame] = segment_file(frame, path, settings, hints, threads, temporary, instrument)
+                found[frame] |= {kind: str(out / path) for kind, path in files.items()}
             except DvrkCmaesError as error:
                 if single:
                     raise
                 found[frame] = {"status": "failed", "reason": str(error)}
     document = {"model": settings.model, "out": str(out), "frames": found}
-    for of_frame in found.values():
-        files = {kind: str(out / path) for kind, path in of_frame.pop("files", {}).items()}
-        of_frame |= files
     answer(document, (line for frame, of_frame in found.items() for line in _lines(frame, of_frame)), json=json)
     return exit_code(of_frame["status"] for of_frame in found.values())
 
 
 def segment_file(
     frame: str, path: Path, settings: SegmentSettings, hints: Hints, threads: int, out: Path, instrument: str
-) -> dict[str, Any]:
-    """Segment one image and write the overlay and, as the last file, the mask; returns what was found, for JSON.
+) -> tuple[dict[str, Path], dict[str, Any]]:
+    """Segment one image and write the overlay and, as the last file, the mask.
 
-    Its ``files`` are by kind, relative to ``out``. ``doubtful`` is a mask whose confidence is below that of a guess.
+    Returns the files by kind, relative to ``out``, and what was found, for JSON. ``doubtful`` is a mask whose
+    confidence is below that of a guess.
     """
     from time import perf_counter
 
@@ -150,14 +149,13 @@ def segment_file(
         files[f"mask_{number}"] = Path("others", f"{frame}-{number}.png")
         write_image(out / files[f"mask_{number}"], other.mask)
     write_image(out / files["mask"], found.mask)
-    return {
+    return files, {
         "status": status,
         "confidence": round(found.confidence, 4),
         "share": round(float(found.mask.mean()), 6),
         "before": found.before,
         "notes": list(found.notes),
         "seconds": round(seconds, 4),
-        "files": files,
     }
 
 

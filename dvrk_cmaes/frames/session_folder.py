@@ -25,10 +25,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from dvrk_cmaes.camera import Camera, Rig
-from dvrk_cmaes.camera.files import Side, guessed_camera, read_camera_file
+from dvrk_cmaes.camera.files import CameraFile, Side, guessed_camera, read_camera_file
 from dvrk_cmaes.camera.rig_files import read_rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.coco_mask import FILES, frames_of
@@ -41,6 +41,7 @@ from dvrk_cmaes.frames.published_layout import find_published_frames, is_publish
 from dvrk_cmaes.frames.session_toml import CameraEntry, ToolEntry, read_session_toml
 from dvrk_cmaes.frames.truth import SessionTruth, read_golden
 from dvrk_cmaes.frames.video_frames import Video, VideoFrame, frame_name
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.arguments import PATH, check_type
 from dvrk_cmaes.io.files import check_own
 from dvrk_cmaes.io.image_header import foreign
@@ -67,7 +68,7 @@ _COUNTED = 3  # frames from which on their numbers may be those of every N-th im
 _MANY = 2  # times as many rows as frames that are the first of them
 _VIEWS = ("left", "right")
 _CAMERAS = (
-    *(f"camera.{suffix}" for suffix in ("yaml", "yml", "xml", "json", "mat", "txt")),
+    *("camera.yaml", "camera.yml", "camera.xml", "camera.json", "camera.mat", "camera.txt"),
     *("camera_info.yaml", "camera_calibration.txt", "calibration.yaml"),
 )
 _TABLES = ("images.csv", "keypoints.csv", "boxes.csv", "markers.csv", "poses.csv")
@@ -237,46 +238,24 @@ def read_session(
     single = entries.tools[0] if len(entries.tools) == 1 else ToolEntry("")
     tool = single if arm is None else entries.tool(arm)
     said = entries.camera if camera is None else CameraEntry(file=camera)
+    said = replace(said, right=camera_right or said.right, rectified=rectified or said.rectified)
     masks = masks or tool.masks
     if masks is None and tool.label is not None and (root / "labels").is_dir() and not (root / "masks").exists():
         masks = root / "labels"
     read_as = replace(read_as, arm=read_as.arm or tool.arm or None, columns=read_as.columns or tool.columns)
     joints = joints if joints is None or joints or tool.joints is None else (tool.joints,)
     mask_folder = masks or next((root / name for name in _MASKS if (root / name).is_dir()), root / _MASKS[0])
+    stereo = _is_stereo(root, mask_folder)
     if masks is not None or video is not None or is_session_layout(root) or not is_published_layout(root):
         frames, readings, times, notes = _session_frames(root, mask_folder, tuple(known), joints, read_as, video)
-        notes = ("a session folder of two views" if _is_stereo(root, mask_folder) else "a session folder", *notes)
+        notes = ("a session folder of two views" if stereo else "a session folder", *notes)
     else:
         frames, readings, times = find_published_frames(root), (), {}
         frames = frames if joints is not None else tuple(replace(frame, readings={}) for frame in frames)
         notes = ("frames in the published layout, a folder each",)
     if said.crop is not None:
         frames = tuple(frame.changed(crop=said.crop) for frame in frames)
-    stereo, guessed = _is_stereo(root, mask_folder), False
-    usual = next((root / name for name in _CAMERAS if os.path.lexists(root / name)), root / _CAMERAS[0])
-    path, right = said.file or said.left or usual, camera_right or said.right
-    stated, rectified = said.file is not None or said.left is not None, rectified or said.rectified
-    if stereo:
-        if focal not in (None, "usual"):
-            raise InputError(
-                f"{root}: expected the camera files of both eyes (--camera FILE), which are not guessed, got none"
-            )
-        if not stated and right is None and os.path.lexists(root / "left.yaml"):
-            path, right = root / "left.yaml", root / "right.yaml"
-        check_own(root, (path, right))
-        first = frames[0] if frames[0].mask or frames[0].image else frames[0].others[_VIEWS[1]]
-        lens = read_rig(path, right, rectified=rectified, size=lambda: first.size)
-    elif right is not None:
-        raise InputError(
-            f"{root}: expected a stereo session (masks/left) with a right camera, got one of a single view"
-        )
-    elif focal is not None and (focal != "usual" or not (stated or os.path.lexists(path))):
-        lens, guessed = guessed_camera(frames[0].size, None if focal == "usual" else focal), True
-    else:
-        check_own(root, [path])
-        if not (stated or os.path.lexists(path)):
-            raise InputError(f"{path}: no such file; expected a camera file (--camera FILE); {UNCALIBRATED}")
-        lens = read_camera_file(path, rectified=rectified, side=side, size=lambda: frames[0].size)
+    lens, guessed = _lens(root, said, frames, side, focal)
     if not stereo and video is not None and (film := frames[0].video) is not None:
         window = film.video.window(lens.camera, None, side)
         frames = tuple(replace(own, video=own.video and replace(own.video, window=window)) for own in frames)
@@ -294,6 +273,39 @@ def read_session(
         guessed=guessed,
     )
     return session if tool.arm == "" else _of_tool(session, tool, [own for own in entries.tools if own is not tool])
+
+
+def _lens(
+    root: Path, said: CameraEntry, frames: Sequence[FrameFiles], side: Side, focal: float | Literal["usual"] | None
+) -> tuple[CameraFile, bool]:
+    """Read the cameras of a session's frames, and say whether they are a guess; arguments and errors as `read_session`.
+
+    ``said`` are the files that are named; without any, they are found by their usual names.
+    """
+    named = said.file or said.left
+    path = named or next((root / name for name in _CAMERAS if os.path.lexists(root / name)), root / _CAMERAS[0])
+    if frames[0].others:
+        if focal not in (None, "usual"):
+            raise InputError(
+                f"{root}: expected the camera files of both eyes (--camera FILE), which are not guessed, got none"
+            )
+        if named is None and said.right is None and os.path.lexists(root / "left.yaml"):
+            said = replace(said, left=root / "left.yaml", right=root / "right.yaml")
+        eyes = said.left or path, said.right
+        check_own(root, eyes)
+        first = frames[0] if frames[0].mask or frames[0].image else frames[0].others[_VIEWS[1]]
+        return read_rig(*eyes, rectified=said.rectified, size=lambda: first.size), False
+    if said.right is not None:
+        raise InputError(
+            f"{root}: expected a stereo session (masks/left) with a right camera, got one of a single view"
+        )
+    there = named is not None or os.path.lexists(path)
+    if focal is not None and (focal != "usual" or not there):
+        return guessed_camera(frames[0].size, None if focal == "usual" else focal), True
+    check_own(root, [path])
+    if not there:
+        raise InputError(f"{path}: no such file; expected a camera file (--camera FILE); {UNCALIBRATED}")
+    return read_camera_file(path, rectified=said.rectified, side=side, size=lambda: frames[0].size), False
 
 
 def _of_tool(session: Session, tool: ToolEntry, others: Sequence[ToolEntry]) -> Session:
@@ -335,11 +347,6 @@ def is_session_layout(root: Path) -> bool:
     return any((root / name).is_dir() for name in (*_MASKS, "images"))
 
 
-def _image_folder(root: Path) -> Path:
-    """Return the folder of a session's images: images, or the session folder itself where it has pictures alone."""
-    return root if not is_session_layout(root) and image_files(root) else root / "images"
-
-
 def _masks_as_json(root: Path, folder: Path) -> Mapping[str, Path]:
     """Find masks as JSON by frame name: a file for each frame, or one for all."""
     found = {path.stem: path for path in sorted(folder.glob("*.json"), key=lambda path: natural(path.name))}
@@ -348,30 +355,42 @@ def _masks_as_json(root: Path, folder: Path) -> Mapping[str, Path]:
     return found if found or whole is None else dict.fromkeys(frames_of(whole), whole)
 
 
-def _pictures(root: Path, mask_folder: Path, views: Sequence[str], *, filmed: bool) -> list[list[Mapping[str, Path]]]:
-    """Find masks, images and ignored pixels by view and frame; InputError if there are none, and no video either."""
-    folders = (mask_folder, root / "images" if filmed else _image_folder(root), root / "ignore")
+class _Pictures(NamedTuple):
+    """The files of a view by name of the frame."""
+
+    masks: Mapping[str, Path]
+    images: Mapping[str, Path]
+    ignored: Mapping[str, Path]
+
+
+def _pictures(root: Path, mask_folder: Path, *, filmed: bool) -> list[_Pictures]:
+    """Find the pictures of each view; InputError if there are neither masks nor images, and no video either.
+
+    Images lie in the folder images, or in the session folder itself where it has pictures alone.
+    """
+    alone = not filmed and not is_session_layout(root) and image_files(root)
+    folders = mask_folder, root if alone else root / "images", root / "ignore"
     check_own(root, folders)
     for folder in folders:
         if folder.is_symlink() and not folder.exists():
             raise InputError(f"{folder}: expected a folder, got a link to nothing")
-    of_views = [[image_files(folder / view) for folder in folders] for view in views]
-    inner = [path for path in mask_folder.iterdir() if path.is_dir()] if mask_folder.is_dir() else []
-    if len(views) == len(inner) == 1 and not of_views[0][0]:
-        of_views[0][0] = image_files(inner[0])
-    if len(views) == 1 and not of_views[0][0]:
-        of_views[0][0] = _masks_as_json(root, mask_folder)
-        if not of_views[0][0]:
+    views = _VIEWS if _is_stereo(root, mask_folder) else (".",)
+    first, *further = (_Pictures(*(image_files(folder / view) for folder in folders)) for view in views)
+    if not further and not first.masks:
+        inner = [path for path in mask_folder.iterdir() if path.is_dir()] if mask_folder.is_dir() else []
+        masks = (image_files(inner[0]) if len(inner) == 1 else {}) or _masks_as_json(root, mask_folder)
+        if not masks:
             _refuse_annotations(root, mask_folder, inner)
-    check_own(root, (path for kinds in of_views for of_kind in kinds for path in of_kind.values()))
-    if folders[1] == root:
-        if both := with_masks_beside(of_views[0][1]):
+        first = first._replace(masks=masks)
+    check_own(root, (path for own in (first, *further) for of_kind in own for path in of_kind.values()))
+    if alone:
+        if both := with_masks_beside(first.images):
             raise InputError(f"{root}: expected folders images and masks, got both kinds in one: {listed(both)}")
-        pictures = [*of_views[0][1].values()]
+        pictures = [*first.images.values()]
         middle = readable(partial(read_image, pictures[len(pictures) // 2]))
-        if not of_views[0][0] and middle is not None and looks_like_mask(middle):
-            of_views[0][:2] = [of_views[0][1], {}]  # of masks and images
-    if not filmed and not any(files for kinds in of_views for files in kinds[:2]):
+        if not first.masks and middle is not None and looks_like_mask(middle):
+            first = first._replace(masks=first.images, images={})
+    if not filmed and not any(own.masks or own.images for own in (first, *further)):
         known = mask_folder != root / "masks" or is_session_layout(root)
         if not known and (inside := sorted(path.name for path in root.iterdir())):
             raise InputError(
@@ -379,7 +398,7 @@ def _pictures(root: Path, mask_folder: Path, views: Sequence[str], *, filmed: bo
                 f"{listed(inside)}"
             )
         raise InputError(f"{mask_folder}: expected masks (PNG or JPEG) of the frames, got {_other_files(mask_folder)}")
-    return of_views
+    return [first, *further]
 
 
 def _with_readings(frame: FrameFiles, files: Sequence[JointFile], time: int | None) -> tuple[FrameFiles, int | None]:
@@ -404,34 +423,27 @@ def _session_frames(
     video: Video | None,
 ) -> tuple[tuple[FrameFiles, ...], tuple[JointFile, ...], dict[str, int | None], tuple[str, ...]]:
     """Find the frames of the session layout, its files of readings, the images' times, and notes on the formats."""
-    views = _VIEWS if _is_stereo(root, mask_folder) else (".",)
-    of_views = _pictures(root, mask_folder, views, filmed=video is not None)
-    images = of_views[0][1]
+    of_views = _pictures(root, mask_folder, filmed=video is not None)
+    masks, images, _ = of_views[0]
     sources = () if joints is None else joints or _joint_files(root)
-    tables = [root / name for name in _TABLES[:3]]
-    check_own(root, [*tables, *(source for source in sources if isinstance(source, Path))])
+    check_own(root, (source for source in sources if isinstance(source, Path)))
     files = [read_joint_file(source, known=known, read_as=read_as) for source in sources]
     of_frames = [file.names for file in files if file.labels == "frame"]
     rows = of_frames[0] if len(of_frames) == 1 else {name: 0 for names in of_frames for name in names}
-    of_kinds, like = {"masks": of_views[0][0], "rows of readings": rows}, images or of_views[0][0]
+    of_kinds, like = {"masks": masks, "rows of readings": rows}, images or masks
     apart = [f"{kind} {listed(names, 1)}" for kind, names in of_kinds.items() if counted_apart(names, like)]
-    named = [with_names_of(mask_folder, kinds[0], kinds[1], rows) for kinds in of_views]
-    for kinds, of_masks in zip(of_views, named, strict=True):
-        kinds[0] = {of_masks[name]: path for name, path in kinds[0].items()}
-    masks, in_data_set = of_views[0][0], {frame: name for name, frame in named[0].items()}
-    for kinds in of_views[1:]:
-        kinds[:2] = [named_as({**masks, **images}, of_kind) for of_kind in kinds[:2]]
-    # lexists: a broken link is an error, not a missing file
-    times = read_image_times(tables[0]) if os.path.lexists(tables[0]) else {}
-    tips = read_keypoints(tables[1]) if os.path.lexists(tables[1]) else {}
-    boxes = read_boxes(tables[2]) if os.path.lexists(tables[2]) else {}
+    named = [with_names_of(mask_folder, own.masks, own.images, rows) for own in of_views]
+    in_data_set = {frame: name for name, frame in named[0].items()}
+    of_masks = [{met[name]: path for name, path in own.masks.items()} for own, met in zip(of_views, named, strict=True)]
+    masks = of_masks[0]
     films = {} if video is None else _filmed(video, files, tuple(masks))
+    of_masks[1:] = [named_as({**masks, **images}, own) for own in of_masks[1:]]
+    of_images = [images, *(named_as({**masks, **images}, own.images) for own in of_views[1:])]
+    names = sorted({*films}.union(*of_masks, *of_images), key=natural)
+    of_ignored = [named_as(names, own.ignored) for own in of_views]
+    times, tips, boxes = _tables(root, names)
     if films and all(file.labels != "frame" for file in files):  # else the times are those of the rows
         times = {name: film.video.times[film.number] for name, film in films.items()}
-    names = sorted(set(films).union(*(files for kinds in of_views for files in kinds[:2])), key=natural)
-    times, tips, boxes = named_as(names, times), named_as(names, tips), named_as(names, boxes)
-    for kinds in of_views:
-        kinds[2] = named_as(names, kinds[2])
     image_times = {name: times.get(name, time_in_name(name)) for name in names}
     files, remarks = _meeting(files, image_times, read_as)
     if apart:
@@ -439,7 +451,7 @@ def _session_frames(
     if unused := [*_unused(root, masks=not masks, joints=joints is not None and not files)]:
         remarks.append(f"not read: {listed(unused)}: session.toml can name masks and joints, or rename it")
     others: dict[str, Mapping[str, object]] = dict(zip(_TABLES, (times, tips, boxes), strict=False))
-    others["ignore"] = of_views[0][2]
+    others["ignore"] = of_ignored[0]
     if lost := [each for each, of_each in others.items() if of_each and not {*names} & of_each.keys()]:
         remarks.append(f"not read: {listed(lost)}: none of its names or numbers is a frame's")
     if images and (alone := [name for name in masks if name not in images and name not in rows]):
@@ -448,15 +460,15 @@ def _session_frames(
     for name, time in image_times.items():
         moments = [time, *(file.time(name) for file in files if file.labels == "frame")]
         first, *further = (
-            FrameFiles(name, kinds[0].get(name), image=kinds[1].get(name), ignore=kinds[2].get(name))
-            for kinds in of_views
+            FrameFiles(name, own.get(name), image=shown.get(name), ignore=ignored.get(name))
+            for own, shown, ignored in zip(of_masks, of_images, of_ignored, strict=True)
         )
         frame = replace(
             first,
             mask_name=in_data_set.get(name, name),
             keypoints=tips.get(name),
             time=next((each / NANOSECONDS for each in moments if each is not None), None),
-            others=dict(zip(views[1:], further, strict=True)),
+            others=dict(zip(_VIEWS[1:], further, strict=False)),
             prompts=boxes.get(name),
             video=films.get(name),
         )
@@ -467,11 +479,23 @@ def _session_frames(
         raise InputError(str(frames[0].problem))
     notes = [text for file in files for text in (f"readings: {file.kind}", *file.notes)] or [NO_READINGS]
     if distances:
-        away, most = max(distances) / NANOSECONDS, TIME_TOLERANCE / NANOSECONDS
-        remarks.append(
-            f"readings interpolated to the images' times, from at most {away:.3g} s away ({most:g} s are allowed)"
-        )
+        away = f"at most {max(distances) / NANOSECONDS:.3g} s away ({TIME_TOLERANCE / NANOSECONDS:g} s are allowed)"
+        remarks.append(f"readings interpolated to the images' times, from {away}")
     return tuple(frames), tuple(files), image_times, (*notes, *remarks)
+
+
+def _tables(root: Path, names: Sequence[str]) -> tuple[dict[str, int], dict[str, Float64], dict[str, Hints]]:
+    """Read the times of images, the jaw tips and the boxes of a session by frame; of those that it does not have, none.
+
+    Names that are no frame's stay as they are.
+    """
+    paths = [root / name for name in _TABLES[:3]]
+    check_own(root, paths)
+    there = [os.path.lexists(path) for path in paths]  # a broken link is an error, not a missing file
+    times = read_image_times(paths[0]) if there[0] else {}
+    tips = read_keypoints(paths[1]) if there[1] else {}
+    boxes = read_boxes(paths[2]) if there[2] else {}
+    return named_as(names, times), named_as(names, tips), named_as(names, boxes)
 
 
 def _unused(root: Path, *, masks: bool, joints: bool) -> Iterator[str]:

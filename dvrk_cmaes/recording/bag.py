@@ -218,14 +218,10 @@ def _messages(reader: AnyReader, path: Path, topic: str) -> Iterator[tuple[int, 
 def _camera(reader: AnyReader, path: Path, topic: str, image: str) -> tuple[bytes, str]:
     """Return the camera file of the first CameraInfo message of a topic, and a note if later messages differ."""
     name = image.strip("/").replace("/", "_")
-    first: bytes | None = None
-    others = 0
-    for _, message in _messages(reader, path, topic):
-        file = camera_file(message, name, f"{path}: {topic}")
-        others += first not in (None, file)
-        first = file if first is None else first
-    if first is None:
+    files = Counter(camera_file(message, name, f"{path}: {topic}") for _, message in _messages(reader, path, topic))
+    if not files:
         raise InputError(f"{path}: {topic}: expected a message, got none")
+    first, others = next(iter(files)), files.total() - next(iter(files.values()))
     return first, f" (the first: {others} later messages differ from it)" if others else ""
 
 

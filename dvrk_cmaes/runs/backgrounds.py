@@ -26,8 +26,12 @@ def with_backgrounds(settings: SegmentSettings, frames: Mapping[str, Sequence[Fr
     """
     if settings.model != "classic":
         return settings
-    images = {name: _moved([own for own in of_view if _is_segmented(own)]) for name, of_view in frames.items()}
-    images = {name: of_view for name, of_view in images.items() if of_view}
+    # those whose masks are to be found in their images
+    images = {
+        name: moved
+        for name, of_view in frames.items()
+        if (moved := _moved([own for own in of_view if own.mask is None and own.image and own.problem is None]))
+    }
     learned = dict(zip(images, map_threaded(_learn, list(images.values()), len(images)), strict=True))
     notes = []
     for view, found in learned.items():
@@ -38,11 +42,6 @@ def with_backgrounds(settings: SegmentSettings, frames: Mapping[str, Sequence[Fr
             notes.append(f"{of_view}: no background was learned: {found}")
     backgrounds = {view: found for view, found in learned.items() if not isinstance(found, str)}
     return replace(settings, backgrounds=backgrounds, notes=tuple(notes))
-
-
-def _is_segmented(files: FrameFiles) -> bool:
-    """Whether the mask of a view of a frame is to be found in its image."""
-    return files.mask is None and files.image is not None and files.problem is None
 
 
 def _learn(frames: Sequence[FrameFiles]) -> NDArray[np.uint8] | str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Final
 
@@ -41,14 +41,14 @@ class RecordedFrames:
     """The N frames of a recording that are followed: files, cameras, and all readings, with the times of all frames.
 
     ``seconds`` is the unit of these times, s: where images are only counted, it follows from their number a second.
-    ``shapes`` are those of the masks that were measured, by number of the frame.
+    ``shapes`` (N) are those of the masks that were measured.
     """
 
     files: tuple[FrameFiles, ...]
     rig: Rig
     series: ReadingSeries
     seconds: float = 1.0
-    shapes: Mapping[int, MaskShape] = field(default_factory=dict)
+    shapes: tuple[MaskShape, ...] = ()
 
     @classmethod
     def of(cls, session: Session, rate: float = 1.0, every: int = 1) -> RecordedFrames:
@@ -72,7 +72,8 @@ class RecordedFrames:
 
     def measured(self, frames: Iterable[tuple[int, FrameData | None]]) -> RecordedFrames:
         """Return the frames with the shapes of masks, of frames that are given with their numbers."""
-        return replace(self, shapes={i: MaskShape.of(data.mask) for i, data in frames if data is not None})
+        found = {i: MaskShape.of(data.mask) for i, data in frames if data is not None}
+        return replace(self, shapes=tuple(found.get(i, NOTHING) for i in range(len(self.files))))
 
     @cached_property
     def outer(self) -> Float64:
@@ -82,7 +83,7 @@ class RecordedFrames:
     @cached_property
     def frozen(self) -> Bool:
         """At which frames (N,) the outer joints' readings stand still while the mask moves."""
-        centres = np.array([shape.centre for shape in self._every_shape])
+        centres = np.array([shape.centre for shape in self.shapes or [NOTHING] * len(self.files)])
         return frozen_frames(self.outer, centres, self.rig.views[0].camera.width)
 
     @property
@@ -90,16 +91,12 @@ class RecordedFrames:
         """Which frames (N,) have readings of all outer joints that are not frozen."""
         return np.asarray(~np.isnan(self.outer).any(axis=1) & ~self.frozen)
 
-    @property
-    def _every_shape(self) -> list[MaskShape]:
-        return [self.shapes.get(i, NOTHING) for i in range(len(self.files))]
-
     def keyframes(self, most: int = MOST_KEYFRAMES, usable: Bool | None = None) -> list[int]:
         """Choose at most some keyframes: with readings that are not frozen, far from each other.
 
         They are among those that are ``usable`` (N,), by default those whose masks show enough of the instrument.
         """
-        usable = well_in_view(self._every_shape) if usable is None else usable
+        usable = well_in_view(self.shapes) if usable is None else usable
         names = tuple(dict.fromkeys(name for own in self.files for name in own.readings))
         return choose_keyframes(usable & self.trusted, self.times, names, self.readings(names, None), most)
 
