@@ -152,10 +152,10 @@ class CalibrateOptions:
                 if done.interrupted:
                     return Begun.of(None)
                 alone = ResultsFolder(target / ALONE, done.results, None, None)
-            pool.report = stack.enter_context(progress())
+            by = Workers(notice=note, report=stack.enter_context(progress()))
             from dvrk_cmaes.runs.calibrate_folder import begin_folder
 
-            begun = begin_folder(arm, target, alone, pool, Workers(notice=note).stage, refine_camera=refine, lag=lag)
+            begun = begin_folder(arm, target, alone, pool, by, refine_camera=refine, lag=lag)
             return begun.within(stack.pop_all())
 
 

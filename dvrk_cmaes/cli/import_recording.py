@@ -297,7 +297,7 @@ def import_recording(
     check_own_folder(recording)
     opened = open_recording(recording, files.asked(topics, poses))
     summary = write_session(
-        replace(opened, images=iter(tracked(opened.images, "Importing", opened.total))),
+        replace(opened, images=iter(tracked(opened.images, "Importing", opened.total)), masks=files.masks),
         out,
         every=selected.every,
         start=selected.start,
@@ -305,7 +305,6 @@ def import_recording(
         tolerance=selected.tolerance,
         lag=taken,
         overwrite=overwrite,
-        masks=files.masks,
     )
     for source in summary.readings:
         if source.without:

@@ -40,7 +40,7 @@ from dvrk_cmaes.io.image_header import PNG
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import counted, is_number, listed
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
-from dvrk_cmaes.joints.joint_state import is_joint_state
+from dvrk_cmaes.joints.joint_state import POSITION
 from dvrk_cmaes.joints.names import shown_unit
 from dvrk_cmaes.joints.reading import TIME_TOLERANCE, read_joint_file
 from dvrk_cmaes.joints.rows import BY_THEMSELVES, NO_TIME, ReadAs
@@ -152,7 +152,7 @@ def _inspect_text(path: Path, start: bytes, options: Options) -> Finding:
     if start.startswith((b"{", b"/*", b"//")):
         return _inspect_json(path, options)
     text = start.decode("utf-8", errors="replace")
-    if is_joint_state(text):
+    if POSITION.search(text):
         return _inspect_joints(path, options)
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     separator = separator_of(lines[0]) if lines else ","

@@ -18,12 +18,8 @@ from dvrk_cmaes.joints.times import parse_stamp
 
 EXPECTED = "joint readings (JointState messages)"
 
-_POSITION = re.compile(r"^position:", re.MULTILINE)
-
-
-def is_joint_state(text: str) -> bool:
-    """Whether a text is printed JointState messages: it has a line that begins with ``position:``."""
-    return _POSITION.search(text) is not None
+POSITION = re.compile(r"^position:", re.MULTILINE)
+"""Beginning of a line that every text of printed JointState messages has."""
 
 
 def read_joint_state(path: str, text: str, names: Sequence[str], arm: str | None = None) -> JointFile:

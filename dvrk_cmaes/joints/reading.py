@@ -19,7 +19,7 @@ from dvrk_cmaes.io.files import read_bytes, text_of
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.csv_table import EXPECTED, LEAST, read_joint_csv, read_plain_table
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, weighted_mean
-from dvrk_cmaes.joints.joint_state import is_joint_state, read_joint_state
+from dvrk_cmaes.joints.joint_state import POSITION, read_joint_state
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.names import accepted_names, check_joint, joint_reading, joints_by_count
 from dvrk_cmaes.joints.rows import BY_THEMSELVES, JointFile, ReadAs, number_of
@@ -84,7 +84,7 @@ def read_joint_file(
     if len(data) > LEAST and not read_as.columns and (table := read_plain_table(path, data, names)) is not None:
         return table
     text = text_of(path, data, expected=EXPECTED)
-    if not is_joint_state(text):
+    if not POSITION.search(text):
         return read_joint_csv(path, text, names, read_as.arm, read_as.columns)
     if len(data) > _LARGEST_YAML:
         raise InputError(

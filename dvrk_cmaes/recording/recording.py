@@ -152,6 +152,8 @@ class Recording:
         Whether the images are rectified.
     names
         Names of the images, in their order, where the table of readings has as many rows with names of frames.
+    masks
+        What has masks of the images, as of `write_session.write_masks`; None for a session without.
     """
 
     path: Path
@@ -164,6 +166,7 @@ class Recording:
     right: Recording | None = None
     rectified: bool = False
     names: tuple[str, ...] = ()
+    masks: Path | None = None
 
     def name(self, number: int) -> str:
         """Return the name in a session of the image of a number."""

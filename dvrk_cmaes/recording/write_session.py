@@ -89,7 +89,6 @@ def write_session(
     tolerance: float = 0.05,
     lag: Lag | None = None,
     overwrite: bool = False,
-    masks: Path | None = None,
 ) -> ImportSummary:
     """Write the session folder of a recording, with one image at a time in memory.
 
@@ -108,8 +107,6 @@ def write_session(
         none.
     overwrite
         Replace an existing session.
-    masks
-        Masks of the images, as of `write_masks`; by default the session has none.
 
     Raises
     ------
@@ -125,7 +122,7 @@ def write_session(
     seconds = 0.0 if lag is None or not recording.camera else lag.in_unit("s")
     if abs(seconds) > LARGEST_SECONDS:
         raise InputError(f"lag: expected at most {LARGEST_SECONDS:g} s in magnitude, got {seconds:g} s")
-    if masks is not None and (recording.right is not None or not recording.camera):
+    if (masks := recording.masks) is not None and (recording.right is not None or not recording.camera):
         raise InputError(f"{masks}: --masks: expected a recording with images of one eye")
     with whole_folder(out, "import", overwrite=overwrite, source=recording.path) as folder:
         for name, data in recording.kept.items():

@@ -8,7 +8,7 @@ OUT/summary.json, OUT/report.html
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -41,21 +41,14 @@ from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.calibration_pictures import draw_task
 from dvrk_cmaes.runs.frame import ArmInSession, FrameOutcome, write_outcome
 from dvrk_cmaes.runs.manifest import frame_stamps, manifest_of
-from dvrk_cmaes.runs.pool import Pool, run_in
+from dvrk_cmaes.runs.pool import Pool, Workers, run_in
 
 CAMERA = "camera.yaml"
 """File of the camera with which the session was solved, where that is not the session's own; of a rig, VIEW.yaml."""
 
 
 def begin_folder(
-    arm: ArmInSession,
-    out: Path,
-    alone: ResultsFolder,
-    pool: Pool,
-    progress: Callable[[str, int], None],
-    *,
-    refine_camera: bool,
-    lag: Lag | None,
+    arm: ArmInSession, out: Path, alone: ResultsFolder, pool: Pool, by: Workers, *, refine_camera: bool, lag: Lag | None
 ) -> Begun[SolvedSession]:
     """Solve an arm's session from its frames' own results; what `solved_together` finishes writes everything.
 
@@ -84,9 +77,9 @@ def begin_folder(
         frames.append(SessionFrame(name, functools.partial(read_frame, own, session.rig), result, own.keypoints))
     if not all(each.has_mask for each in session.frames):
         config = config.with_alike_masks()
-    run, refined = run_in(pool, arm.body, config), (refine_camera or session.guessed)
+    run, refined = run_in(pool, arm.body, config, by), (refine_camera or session.guessed)
     series, kinematics = session.reading_series(), arm.method.arm
-    setup = ArmSetup(series, instrument, kinematics, config, run, progress, refined, session.guessed, lag=lag)
+    setup = ArmSetup(series, instrument, kinematics, config, run, by.stage, refined, session.guessed, lag=lag)
     return begin_arm(frames, setup).then(functools.partial(_written, arm, out, alone.folder, files, setup))
 
 

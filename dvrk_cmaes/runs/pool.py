@@ -117,16 +117,11 @@ class Pool(Executors):
         Number of processes, each of which is started when there is a task for it.
     here
         Whether this process does tasks as well as the others, with one thread in its libraries meanwhile.
-
-    Its ``report`` is called with the number of tasks of `values` that are done and of all. Once its ``stop`` is set,
-    `values` finishes the running ones and raises `StoppedError`.
     """
 
     def __init__(self, start: Callable[[], object], count: int, *, here: bool = False) -> None:
         self.start, self.count, self.here = start, count, here
         self.at_once = lambda: 2 * count if here else count  # one waits while this process is at a task
-        self.report: Callable[..., None] = lambda done, total: None
-        self.stop = threading.Event()
         self._pool: ProcessPoolExecutor | None = None
         self._lock = threading.Lock()
 
@@ -182,14 +177,18 @@ class Pool(Executors):
                 process.kill()
             pool.shutdown(cancel_futures=True)
 
-    def values(self, call: Callable[[T], R], tasks: Sequence[T]) -> list[R]:
-        """Return the values of a picklable function in the order of the tasks; DvrkCmaesError if a process died."""
-        found: dict[int, R] = {}
-        for (k, _), value in run(self, enumerate(tasks), functools.partial(_numbered, call), stop=self.stop):
+    def values(self, call: Callable[[T], R], tasks: Sequence[T], by: Workers | None = None) -> list[R]:
+        """Return the values of a picklable function in the order of the tasks; DvrkCmaesError if a process died.
+
+        What is done is reported ``by``; once its ``stop`` is set, running tasks are finished and `StoppedError` is
+        raised.
+        """
+        found, by = dict[int, R](), by or Workers()
+        for (k, _), value in run(self, enumerate(tasks), functools.partial(_numbered, call), stop=by.stop):
             if isinstance(value, WorkerDied):
                 raise DvrkCmaesError(f"frame {k + 1} of {len(tasks)}: {value.reason}: try fewer --workers")
             found[k] = value
-            self.report(len(found), len(tasks))
+            by.report(len(found), len(tasks))
         if len(found) < len(tasks):
             raise StoppedError
         return [found[k] for k in range(len(tasks))]
@@ -398,10 +397,10 @@ def further_processes(workers: int, frames: int) -> int:
     return min(workers - 1, frames // _PAYS)
 
 
-def run_in(pool: Pool, body: Body, config: EstimateConfig) -> Run[Any, Any]:
-    """Return what applies a function of body, settings and task to tasks; errors as of `Pool.values`."""
+def run_in(pool: Pool, body: Body, config: EstimateConfig, by: Workers) -> Run[Any, Any]:
+    """Return what applies a function of body, settings and task to tasks; reports and errors as of `Pool.values`."""
     shared = packed(body)
-    return lambda function, tasks: pool.values(functools.partial(_with_body, shared, config, function), tasks)
+    return lambda function, tasks: pool.values(functools.partial(_with_body, shared, config, function), tasks, by)
 
 
 def _prepare() -> None:

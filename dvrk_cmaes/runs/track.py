@@ -140,8 +140,7 @@ class TrackedArm:
         settings, method, recorded, by = self.settings, self.arm.method, self.recorded, self.by
         config = replace(method.config, threads=1)
         pool = stack.enter_context(pool_of(by.count or usable_cores(), recorded.files))
-        pool.stop, pool.report = by.stop, by.report
-        series, instrument, run = recorded.series, self.body.instrument, run_in(pool, self.body, config)
+        series, instrument, run = recorded.series, self.body.instrument, run_in(pool, self.body, config, by)
         work = ArmSetup(series, instrument, method.arm, config, run, by.stage, lag=self._lag)
         if self._given is not None and not recorded.trusted.any():
             return Begun.of("no frame has readings of the outer joints that are not frozen")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -74,23 +74,20 @@ def write_outputs(arm: TrackedArm) -> None:
     page = FollowedRecording(
         arm.rows, name, instrument.name, arm.calibration, arm.readings, video=embedded, warnings=alerts
     )
-    add: list[Callable[[int, Mapping[str, Any], tuple[TrackView, ...]], None]] = []
+    rig, drawn, video, log = arm.session.rig, _Drawn(arm), None, None
     with ExitStack() as opened:
         if settings.video:
-            size = _size_of_views(arm.session.rig)
-            video = opened.enter_context(whole_video(arm.out / VIDEO, size, arm.frames_a_second))
-            said = "frame", "status", "reasons"
-            add.append(lambda k, row, views: video.write(draw_track(views, **{key: row[key] for key in said})))
-        if settings.page:
-            add.append(lambda k, row, views: page.add(k, views))
+            video = opened.enter_context(whole_video(arm.out / VIDEO, _size_of_views(rig), arm.frames_a_second))
         if settings.rerun is not None:
-            log = opened.enter_context(rerun_file(settings.rerun, arm.session.rig, instrument, name))
-            add.append(lambda k, row, views: log.add(k, row, {j: float(v[k]) for j, v in arm.readings.items()}, views))
-        drawn = _Drawn(arm)
-        for number, row in enumerate(arm.rows if add else ()):
+            log = opened.enter_context(rerun_file(settings.rerun, rig, instrument, name))
+        for number, row in enumerate(arm.rows if settings.video or settings.page or settings.rerun else ()):
             views = drawn.views(number)
-            for to_file in add:
-                to_file(number, row, views)
+            if video is not None:
+                video.write(draw_track(views, frame=row["frame"], status=row["status"], reasons=row["reasons"]))
+            if settings.page:
+                page.add(number, views)
+            if log is not None:
+                log.add(number, row, {joint: float(v[number]) for joint, v in arm.readings.items()}, views)
     if settings.page:
         write(arm.out / PAGE, track_page(page))
 
