@@ -6,7 +6,7 @@ between them would lie at a plausible distance from the camera. The pair yields 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
@@ -66,16 +66,17 @@ def find_pairs(image: Image, camera: Camera, radius: float, outside: Bool, most:
     limits = np.array([camera.width - 1, camera.height - 1])
     along = np.array([line.direction for line in lines])
     parallel = np.argwhere(np.tril(np.abs(along @ along.T) >= _PARALLEL, -1)).tolist()
-    pairs = [
-        (pair, (i, j)) for i, j in parallel if (pair := _pair(lines[i], lines[j], camera, radius, limits)) is not None
-    ]
-    pairs.sort(key=lambda each: -each[0].support)
+    found = [(_sides(lines[i], lines[j], camera, radius), [i, j]) for i, j in parallel]
+    beside = [(sides, of) for sides, of in found if sides is not None]
+    beside.sort(key=lambda each: -each[0].support)
     kept: list[Pair] = []
     uses = np.zeros(len(lines), np.intp)
-    for pair, of in pairs:
-        if len(kept) < most and uses[[*of]].max() < _OF_LINE:
+    for sides, of in beside:
+        if len(kept) == most:
+            break
+        if uses[of].max() < _OF_LINE and (pair := _pair(sides, camera, radius, limits)) is not None:
             kept.append(pair)
-            uses[[*of]] += 1
+            uses[of] += 1
     return kept
 
 
@@ -89,7 +90,8 @@ def pair_of_mask(mask: Bool, camera: Camera, radius: float) -> Pair | None:
         length = float(np.linalg.norm(last - first))
         stretch = np.array([[-length / 2, length / 2]])
         lines.append(_Line((last - first) / max(length, 1e-9), (first + last) / 2, stretch))
-    return _pair(lines[0], lines[1], camera, radius, np.array([camera.width - 1, camera.height - 1]))
+    sides = _sides(lines[0], lines[1], camera, radius)
+    return None if sides is None else _pair(sides, camera, radius, np.array([camera.width - 1, camera.height - 1]))
 
 
 def prompts_in(other: View, first: SeenView, prompts: Hints, body: Body, *, several: bool = False) -> Hints:
@@ -186,68 +188,71 @@ def _united(stretches: Float64) -> Float64:
     return np.array(united)
 
 
-def _pair(first: _Line, second: _Line, camera: Camera, radius: float, limits: Float64) -> Pair | None:
-    """Return two lines as a pair, or None if they cannot bound a shaft."""
+@dataclass(frozen=True, eq=False)
+class _Sides:
+    """Two lines beside each other: the one in the direction of the normal, the other, and the direction (2,) of both.
+
+    middle : coordinate along, px, of the middle of the stretch that has both. support : as of `Pair`.
+    """
+
+    upper: _Line
+    lower: _Line
+    along: Float64
+    middle: float
+    support: float
+
+    @property
+    def normal(self) -> Float64:
+        return np.array([-self.along[1], self.along[0]])
+
+    def across(self, line: _Line) -> float:
+        """Return the coordinate of a line across the direction at the middle, px."""
+        step = (self.middle - line.point @ self.along) / (line.direction @ self.along)
+        return float((line.point + step * line.direction) @ self.normal)
+
+
+def _sides(first: _Line, second: _Line, camera: Camera, radius: float) -> _Sides | None:
+    """Return two lines that lie beside each other as a shaft's sides may, or None."""
     cosine = float(first.direction @ second.direction)
     if abs(cosine) < _PARALLEL:
         return None
     along = first.direction + np.sign(cosine) * second.direction
     along /= np.linalg.norm(along)
-    normal = np.array([-along[1], along[0]])
-    covered = []
-    for line in (first, second):
-        own = line.point @ along + line.stretches * (line.direction @ along)
-        covered.append(np.sort(own, axis=1))
-    low = max(covered[0].min(), covered[1].min())
-    high = min(covered[0].max(), covered[1].max())
-    middle = (low + high) / 2
-
-    def across(line: _Line) -> float:
-        step = (middle - line.point @ along) / (line.direction @ along)
-        return float((line.point + step * line.direction) @ normal)
-
-    width = across(first) - across(second)
-    upper, lower = (first, second) if width > 0 else (second, first)
-    width = abs(width)
+    one, other = (
+        np.sort(line.point @ along + line.stretches * (line.direction @ along), axis=1) for line in (first, second)
+    )
+    low, high = max(one.min(), other.min()), min(one.max(), other.max())
+    begin, end = np.maximum(one[:, None, 0], other[:, 0]), np.minimum(one[:, None, 1], other[:, 1])
+    overlap = float(np.maximum(end - begin, 0).sum())
+    sides = _Sides(first, second, along, (low + high) / 2, overlap + 0.25 * (high - low))
+    width = sides.across(first) - sides.across(second)
     focal = float(np.sqrt(camera.fx * camera.fy))
     widest, narrowest = (2 * radius * focal / depth for depth in _DEPTHS)
-    if not max(narrowest, _NARROWEST) < width < widest or high - low < _LEAST_OVERLAP * width:
+    if not max(narrowest, _NARROWEST) < abs(width) < widest or high - low < _LEAST_OVERLAP * abs(width):
         return None
-    common = [
-        (max(a[0], b[0]), min(a[1], b[1]))
-        for a in covered[0].tolist()
-        for b in covered[1].tolist()
-        if min(a[1], b[1]) > max(a[0], b[0])
-    ]
-    overlap = sum(end - begin for begin, end in common)
-    planes = []
-    for line, sign in ((upper, 1.0), (lower, -1.0)):
+    return sides if width > 0 else replace(sides, upper=second, lower=first)
+
+
+def _pair(sides: _Sides, camera: Camera, radius: float, limits: Float64) -> Pair | None:
+    """Return two sides as a pair, or None if they cannot bound a shaft."""
+    along, normal, planes = sides.along, sides.normal, []
+    for line, sign in ((sides.upper, 1.0), (sides.lower, -1.0)):
         outward = np.array([-line.direction[1], line.direction[0]])
         outward *= np.sign(outward @ normal) * sign
         planes.append(np.array([*outward, -outward @ line.point]) @ camera.matrix)
-    unit = np.stack(planes) / np.linalg.norm(planes, axis=1, keepdims=True)
-    direction, point = shaft_axis(unit, radius)
-    focals, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
-    base = (across(upper) + across(lower)) / 2 * normal
-
-    def places(at: Float64) -> Float64:
-        """Return coordinates (N,), m, on the axis of its points nearest to the rays of places (N,) along the pair."""
-        pixels = (base + at[:, None] * along - centre) / focals
-        rays = np.concatenate([pixels, np.ones((len(at), 1))], axis=1)
-        away = np.cross(rays, np.cross(direction, rays))
-        return np.asarray(-(away @ point) / (away @ direction))
-
+    direction, point = shaft_axis(np.stack(planes) / np.linalg.norm(planes, axis=1, keepdims=True), radius)
     if abs(direction[2]) > np.cos(np.deg2rad(4.0)):
         return None
     # the stretch within the picture and before the camera: beyond its vanishing point an axis is behind it
     corners = np.array([[0, 0], [limits[0], 0], [0, limits[1]], limits]) @ along
-    steps = np.append(np.linspace(corners.min(), corners.max(), 200), middle)
-    pixels = base + steps[:, None] * along
-    seen = places(steps)
+    steps = np.append(np.linspace(corners.min(), corners.max(), 200), sides.middle)
+    pixels = (sides.across(sides.upper) + sides.across(sides.lower)) / 2 * normal + steps[:, None] * along
+    # coordinates, m, on the axis of its points nearest to the rays of these pixels
+    rays = np.column_stack([(pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy), np.ones(len(pixels))])
+    away = np.cross(rays, np.cross(direction, rays))
+    seen = -(away @ point) / (away @ direction)
     depths = point[2] + seen * direction[2]
     if not _DEPTHS[0] < depths[-1] < _DEPTHS[1]:
         return None
     kept = seen[((pixels >= 0) & (pixels <= limits)).all(axis=1) & (depths > _NEAREST) & (depths < _FARTHEST)]
-    if len(kept) < 2:
-        return None
-    return Pair(direction, point, float(kept.min()), float(kept.max()), overlap + 0.25 * (high - low))
+    return Pair(direction, point, float(kept.min()), float(kept.max()), sides.support) if len(kept) > 1 else None
