@@ -27,28 +27,31 @@ def with_backgrounds(settings: SegmentSettings, frames: Mapping[str, Sequence[Fr
     if settings.model != "classic":
         return settings
     # those whose masks are to be found in their images
-    images = {
-        name: moved
+    given = {
+        name: [own for own in of_view if own.mask is None and own.has_image and own.problem is None]
         for name, of_view in frames.items()
-        if (moved := _moved([own for own in of_view if own.mask is None and own.image and own.problem is None]))
     }
-    learned = dict(zip(images, map_threaded(_learn, list(images.values()), len(images)), strict=True))
+    images = {name: _moved(of_view) for name, of_view in given.items() if of_view}
+    pictures = [_pictures(of_view) for of_view in images.values()]
+    learned = dict(zip(images, map_threaded(learn_background, pictures, len(images)), strict=True))
     notes = []
     for view, found in learned.items():
         of_view = f"images of {view}" if len(learned) > 1 else "images"
         if not isinstance(found, str):
             notes.append(f"{of_view}: a background was learned from {len(images[view])} of them")
-        elif len(images[view]) > 1:
-            notes.append(f"{of_view}: no background was learned: {found}")
+        elif len(given[view]) > 1:
+            same = len(given[view]) - len(images[view])
+            more = f"; {same} more show the instrument in the same places, by their readings" if same else ""
+            notes.append(f"{of_view}: no background was learned: {found}{more}")
     backgrounds = {view: found for view, found in learned.items() if not isinstance(found, str)}
     return replace(settings, backgrounds=backgrounds, notes=tuple(notes))
 
 
-def _learn(frames: Sequence[FrameFiles]) -> NDArray[np.uint8] | str:
-    """Learn the background of the images of one view, of many from some spread evenly; or return why there is none."""
+def _pictures(frames: Sequence[FrameFiles]) -> list[NDArray[np.uint8]]:
+    """Read the images of one view from which its background is learned: of many, some spread evenly."""
     chosen = (frames[int(k)] for k in np.unique(np.linspace(0, len(frames) - 1, MOST).round()))
     images = (readable(files.read_image) for files in chosen)
-    return learn_background([image for image in images if image is not None])
+    return [image for image in images if image is not None]
 
 
 def _moved(frames: Sequence[FrameFiles]) -> list[FrameFiles]:

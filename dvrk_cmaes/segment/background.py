@@ -71,7 +71,7 @@ def learn_background(images: Sequence[Image]) -> Image | str:
     """Learn the background from images (H, W, 3) uint8 BGR of a camera that stands still.
 
     Returns it at a size of at most 1000 px, (h, w, 3); why there is none if the images are too few, of several sizes,
-    or show no background that stands still.
+    or show no background that stands still, or nothing that moves before it.
     """
     if len(images) < FEWEST:
         return f"{len(images)} images, fewer than {FEWEST}"
@@ -92,6 +92,8 @@ def learn_background(images: Sequence[Image]) -> Image | str:
         return f"the images do not show the same scene: a quarter of the pixels differ by {differ:.0f} grey levels"
     for _ in range(_PASSES):
         free = np.stack([_free_of_instrument(image, found) for image in stack])
+        if 2 * np.count_nonzero(free.all(axis=(1, 2))) > len(stack):
+            return "the images are alike: nothing moves before the camera"
         for rows in _blocks(stack.shape[1]):
             found[rows] = _median_of_free(stack[:, rows], free[:, rows], found[rows])
     return found

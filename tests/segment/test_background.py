@@ -121,6 +121,7 @@ def test_instrument_on_tissue_is_found_by_colours_as_before() -> None:
 def test_background_that_moves_or_is_seen_too_seldom_is_not_learned() -> None:
     images = [each.image for each in drawn_on("textured cloth")]
     assert learn_background(images[:5]) == "5 images, fewer than 6"
+    assert learn_background([images[0]] * 8) == "the images are alike: nothing moves before the camera"
     moved = learn_background([np.roll(image, 9 * k, axis=1) for k, image in enumerate(images)])
     assert isinstance(moved, str)
     assert "do not show the same scene" in moved
@@ -186,7 +187,8 @@ def test_frames_of_one_posture_show_no_background(tmp_path: Path) -> None:
         frames.append(FrameFiles(f"{k}", None, {"yaw": 0.1 * (k // 4), "insertion": 0.1}, image=image))
     settings = with_backgrounds(SegmentSettings(), {"": frames})
     assert not settings.backgrounds
-    assert settings.notes == ("images: no background was learned: 4 images, fewer than 6",)
+    more = "12 more show the instrument in the same places, by their readings"
+    assert settings.notes == (f"images: no background was learned: 4 images, fewer than 6; {more}",)
 
 
 @pytest.fixture(scope="module")
