@@ -14,7 +14,6 @@ from dvrk_cmaes.estimation.one_tool import FrameMethod, estimate_views
 from dvrk_cmaes.frames.field_of_view import IGNORED, outside_view
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles
 from dvrk_cmaes.frames.seen_view import SeenView, overlap_of
-from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.doubts import mask_is_a_guess
 from dvrk_cmaes.pose.views import silhouette_of
 from dvrk_cmaes.results.parts import posed
@@ -102,9 +101,32 @@ def segment_and_estimate(data: FrameData, body: Body, method: FrameMethod) -> tu
     return data, first.segmentation, result
 
 
-def _expected(start: Result, view: SeenView, body: Body) -> Posed:
-    """Return where a result has the instrument in a view's camera."""
-    return posed(start, body.instrument.joint_names).seen_from(view.view_from_camera)
+def segment_view(
+    view: SeenView, files: FrameFiles, hints: Hints, body: Body, settings: SegmentSettings, threads: int = 1
+) -> Segmentation:
+    """Segment the image of a view of a frame; where the frame has a result to start from, as that expects it.
+
+    Parameters
+    ----------
+    view, files, hints
+        The view, which has an image, the files of its frame, and prompts in the view's image.
+    body, settings, threads
+        The instrument, and how it is looked for.
+    """
+    assert view.image is not None
+    start, names = files.start, body.instrument.joint_names
+    return segment(
+        view.image,
+        **vars(hints),
+        model=settings.model,
+        weights=settings.weights,
+        threads=threads,
+        background=settings.backgrounds.get(view.name),
+        instrument=body,
+        camera=view.camera,
+        joints=files.readings,
+        expected=None if start is None else posed(start, names).seen_from(view.view_from_camera),
+    )
 
 
 def _find_mask(
@@ -125,18 +147,7 @@ def _find_mask(
     if outside.any():
         view = view.without(outside)
         notes = (IGNORED,)
-    found = segment(
-        image,
-        **vars(hints),
-        model=settings.model,
-        weights=settings.weights,
-        threads=threads,
-        background=settings.backgrounds.get(view.name),
-        instrument=body,
-        camera=view.camera,
-        joints=files.readings,
-        expected=None if files.start is None else _expected(files.start, view, body),
-    )
+    found = segment_view(view, files, hints, body, settings, threads)
     view = replace(view, mask=found.mask, given=True)
     if not view.shows:
         raise DvrkCmaesError("no instrument found in the image; a mask, a box or a point on the instrument would help")

@@ -1,9 +1,9 @@
 """The calibration by which a recording is followed: solved from keyframes, or the reason that there is none.
 
-Where frames have no masks, those of the keyframes are found in each image by itself. Masks that show something else
-than the instrument do not agree with the others, and are left out as the keyframes are solved together.
-From the keyframes' poses the colours of instrument and surroundings are learned, by which the masks of all images are
-found around what is expected of them.
+Where frames have no masks, those of some keyframes are found in each image by itself, and those of the others where
+most of these expect the instrument. Masks that show something else do not agree with the others, and are left out as
+the keyframes are solved together. From the keyframes' poses the colours of instrument and surroundings are learned, by
+which the masks of all images are found around what is expected of them.
 """
 
 from __future__ import annotations
@@ -25,17 +25,19 @@ from dvrk_cmaes.calibration.together import Begun
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.estimation.image_frame import segment_view
 from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
 from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.frames.session_folder import Session
+from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.agreement import start_at
+from dvrk_cmaes.runs.backgrounds import with_backgrounds
 from dvrk_cmaes.runs.frame import estimate_frame
 from dvrk_cmaes.runs.recording import RecordedFrames, RecordedSolution, predict, read_seen
-from dvrk_cmaes.segment import segment
-from dvrk_cmaes.segment.segmentation import GUESS
+from dvrk_cmaes.segment.segmentation import GUESS, SegmentSettings
 from dvrk_cmaes.segment.shaft_pairs import prompts_in
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.frame_fits import learn_task, with_outside
@@ -43,11 +45,10 @@ from dvrk_cmaes.track.image_masks import pooled_colours
 from dvrk_cmaes.track.keyframes import LEAST_KEYFRAMES
 
 _REFUSED: Final = "session: "  # begins what `calibrate_session` says of a session that it cannot solve
-_SEGMENTED: Final = 60  # images, at most, that are segmented by themselves
+_SEGMENTED: Final = 40  # images, at most, in which masks are found
 _FEWEST: Final = 6  # keyframes whose masks were found, with which a recording is solved
 _NO_COLOURS: Final = "no image shows enough of the instrument where it is expected"
 _SEARCHED: Final = 16  # keyframes that are searched for; the others start from where these expect them
-_FOUND_KEYFRAMES: Final = 40  # keyframes, at most, whose masks were found
 T = TypeVar("T")
 Reader = Callable[[], FrameData]
 """A picklable function that reads a frame's data."""
@@ -70,25 +71,37 @@ def with_keyframes(session: Session, most: int) -> Session:
     return replace(session, frames=frames)
 
 
-def alone_task(body: Body, config: EstimateConfig, keyframe: tuple[FrameFiles, Reader], *, arm: Arm) -> Result:
-    """Estimate a keyframe by itself, as `batch` does."""
-    files, read = keyframe
-    return estimate_frame(replace(read(), files=files), body, FrameMethod(arm, config))
+def alone_task(
+    body: Body, config: EstimateConfig, files: FrameFiles, *, rig: Rig, arm: Arm, images: SegmentSettings | None
+) -> SessionFrame | None:
+    """Estimate a keyframe by itself, as `batch` does: by its masks, or by those that are found in its ``images``.
+
+    None where nothing is found.
+    """
+    read: Reader = partial(read_frame, files, rig)
+    data = read() if images is None else segment_task(body, config, files, rig=rig, settings=images)
+    if data is None:
+        return None
+    result = estimate_frame(replace(data, files=files), body, FrameMethod(arm, config))
+    return SessionFrame(files.name, read if images is None else data, result, files.keypoints, files.time)
+
+
+def _too_few(recorded: RecordedFrames, count: int, least: int) -> str:
+    """Return why some keyframes are too few."""
+    since = recorded.files[int(recorded.frozen.argmax())].name
+    frozen = f" (readings frozen since frame {since})" if recorded.frozen.any() else ""
+    return f"{count} frames are well in view and have readings{frozen}, fewer than {least}"
 
 
 def _begin_chosen(
-    recorded: RecordedFrames, keyframes: Mapping[int, Reader], work: ArmSetup, least: int
+    recorded: RecordedFrames, frames: Sequence[SessionFrame], work: ArmSetup, least: int
 ) -> Begun[SessionCalibration | str]:
-    """Estimate keyframes alone and solve them together; a text says why that is not possible or not to be used.
+    """Solve keyframes together that were estimated alone; a text says why that is not possible or not to be used.
 
-    ``keyframes`` are what reads them, by number, ``least`` is the number of those that are needed.
+    ``least`` is the number of those that are needed.
     """
-    if len(keyframes) < least:
-        since = recorded.files[int(recorded.frozen.argmax())].name
-        frozen = f" (readings frozen since frame {since})" if recorded.frozen.any() else ""
-        return Begun.of(f"{len(keyframes)} frames are well in view and have readings{frozen}, fewer than {least}")
-    work.progress("estimating keyframes", len(keyframes))
-    frames = _estimated(recorded, keyframes, work)
+    if len(frames) < least:
+        return Begun.of(_too_few(recorded, len(frames), least))
     begun = _tried(lambda: begin_arm(frames, work))
     if isinstance(begun, str):
         return Begun.of(begun)
@@ -105,25 +118,36 @@ def _tried(solve: Callable[[], T]) -> T | str:
         return str(error).removeprefix(_REFUSED)
 
 
-def _estimated(recorded: RecordedFrames, keyframes: Mapping[int, Reader], work: ArmSetup) -> list[SessionFrame]:
-    """Estimate keyframes alone: some by a search, the others from where these expect them."""
+def _estimated(
+    recorded: RecordedFrames,
+    chosen: Sequence[int],
+    work: ArmSetup,
+    usable: Bool | None = None,
+    images: SegmentSettings | None = None,
+) -> dict[int, SessionFrame]:
+    """Estimate keyframes alone, by number: some by a search, the others from where these expect them.
+
+    They are chosen among the ``usable`` (N,). So are those in whose ``images`` masks were found that do not agree with
+    most others on where the base is.
+    """
+    work.progress("estimating keyframes", len(chosen))
     files, names = recorded.files, work.instrument.joint_names
 
-    def estimated(numbers: Sequence[int], starts: Mapping[str, Result]) -> list[SessionFrame]:
-        tasks = [(replace(files[i], start=starts.get(files[i].name)), keyframes[i]) for i in numbers]
-        results = work.run(partial(alone_task, arm=work.arm), tasks)
-        return [
-            SessionFrame(own.name, read, result, own.keypoints, own.time)
-            for (own, read), result in zip(tasks, results, strict=True)
-        ]
+    def estimated(numbers: Sequence[int], starts: Mapping[str, Result]) -> dict[int, SessionFrame]:
+        tasks = [replace(files[i], start=starts.get(files[i].name)) for i in numbers]
+        found = work.run(partial(alone_task, rig=recorded.rig, arm=work.arm, images=images), tasks)
+        return {i: frame for i, frame in zip(numbers, found, strict=True) if frame is not None}
 
-    searched = [i for i in recorded.keyframes(_SEARCHED) if i in keyframes]
-    rest = [i for i in keyframes if i not in searched]
-    first = estimated(searched, {})
-    expected = predict_from_first(first, {files[i].name: files[i].readings for i in rest}, work)
-    starts = {name: start_at(first[0].result, at, names) for name, at in expected.items()}
-    found = dict(zip((*searched, *rest), (*first, *estimated(rest, starts)), strict=True))
-    return [found[i] for i in keyframes]
+    first = [i for i in recorded.keyframes(_SEARCHED, usable) if i in chosen]
+    found = estimated(first, {})
+    rest = [i for i in chosen if images is not None or i not in first]
+    readings = {files[i].name: files[i].readings for i in rest}
+    expected = predict_from_first([*found.values()], readings, work) if found else {}
+    like = next((frame.result for frame in found.values() if not frame.lacks), None)
+    starts = {name: start_at(like, at, names) for name, at in expected.items()} if like else {}
+    again = [i for i in rest if i not in first or files[i].name in starts]
+    found |= estimated(again, starts)
+    return {i: found[i] for i in chosen if i in found}
 
 
 def _in_digits(calibration: SessionCalibration) -> SessionCalibration | str:
@@ -131,7 +155,9 @@ def _in_digits(calibration: SessionCalibration) -> SessionCalibration | str:
     return bad_predictions(calibration) or SessionCalibration.from_dict(calibration.to_dict())
 
 
-def segment_task(body: Body, config: EstimateConfig, files: FrameFiles, *, rig: Rig) -> FrameData | None:
+def segment_task(
+    body: Body, config: EstimateConfig, files: FrameFiles, *, rig: Rig, settings: SegmentSettings
+) -> FrameData | None:
     """Find the masks in the images of a frame with its hints; None where nothing is found, or only a guess.
 
     Masks that the frame has are kept. In further views the instrument of the first view's prompts is looked for.
@@ -145,19 +171,12 @@ def segment_task(body: Body, config: EstimateConfig, files: FrameFiles, *, rig: 
         own = replace(view, image=None)
         if view.image is not None and not (view.given and view.mask.any()):
             hints = prompts_in(view, views[0], files.hints, body) if number else files.hints
-            mask = segment(view.image, **vars(hints), threads=1)
+            mask = segment_view(view, files, hints, body, settings)
             right = mask.confidence >= GUESS and replace(view, mask=mask.mask).shows
             own = replace(own, mask=mask.mask, given=True) if right else own
         views.append(own)
     found = replace(data, views=tuple(views))
     return found if any(view.given and view.shows for view in found.views) else None
-
-
-def _segmented(recorded: RecordedFrames, chosen: Sequence[int], work: ArmSetup) -> dict[int, FrameData]:
-    """Find the masks in images by number of the frame, of those in which the instrument is found."""
-    work.progress("finding masks", len(chosen))
-    found = work.run(partial(segment_task, rig=recorded.rig), [recorded.files[i] for i in chosen])
-    return {i: one for i, one in zip(chosen, found, strict=True) if one is not None}
 
 
 def _with_colours(solution: RecordedSolution, found: Mapping[int, FrameData]) -> RecordedSolution | str:
@@ -183,32 +202,59 @@ def _with_colours(solution: RecordedSolution, found: Mapping[int, FrameData]) ->
 
 
 def begin_solution(
-    recorded: RecordedFrames, given: SessionCalibration | None, work: ArmSetup, *, by_masks: bool
+    recorded: RecordedFrames,
+    given: SessionCalibration | None,
+    work: ArmSetup,
+    *,
+    by_masks: bool,
+    notice: Callable[[str], None] = lambda text: None,
 ) -> Begun[RecordedSolution | str | None]:
     """Estimate the keyframes of a recording alone and solve them together; a text says why that is not possible.
 
     A calibration that is ``given`` is used instead. Unless the recording is followed ``by_masks``, masks are found in
-    its images, and determine the colours. Finish it by `solved_together` or `solved_alone`. Raises InputError for a
-    file that is wrong.
+    its images, and determine the colours; ``notice`` is told of a background that these show. Finish it by
+    `solved_together` or `solved_alone`. Raises InputError for a file that is wrong.
     """
-    if by_masks:
-        recorded, found, least = recorded.with_own_masks(), None, LEAST_KEYFRAMES
-        keyframes = {i: partial(read_frame, recorded.files[i], recorded.rig) for i in recorded.keyframes()}
+    if not by_masks:
+        return _begin_by_images(recorded, given, work, notice)
+    recorded = recorded.with_own_masks()
+    if given is not None:
+        return Begun.of(RecordedSolution(recorded, given, work))
+    chosen = recorded.keyframes()
+    if len(chosen) < LEAST_KEYFRAMES:
+        return Begun.of(_too_few(recorded, len(chosen), LEAST_KEYFRAMES))
+    frames = _estimated(recorded, chosen, work)
+    begun = _begin_chosen(recorded, [*frames.values()], work, LEAST_KEYFRAMES)
+    return begun.then(lambda solved: solved if isinstance(solved, str) else RecordedSolution(recorded, solved, work))
+
+
+def _begin_by_images(
+    recorded: RecordedFrames, given: SessionCalibration | None, work: ArmSetup, notice: Callable[[str], None]
+) -> Begun[RecordedSolution | str | None]:
+    """Find masks in images of a recording, by which it is solved as by `begin_solution`, with their colours."""
+    usable = np.array([own.has_image or own.has_mask for own in recorded.files])
+    chosen = recorded.keyframes(_SEGMENTED, usable)
+    if given is None and len(chosen) < LEAST_KEYFRAMES:  # too few to find masks of another tool
+        return Begun.of(f"{len(chosen)} images that differ have readings, fewer than {LEAST_KEYFRAMES}")
+    views = [recorded.files[i].of_views(recorded.rig) for i in chosen]
+    of_views = {name: [of_frame[name] for of_frame in views] for name in recorded.rig.names}
+    images = with_backgrounds(SegmentSettings(), of_views)
+    for text in images.notes:
+        notice(text)
+    if given is None:
+        frames = _estimated(recorded, chosen, work, usable, images)
+        found = {i: frame.data for i, frame in frames.items() if isinstance(frame.data, FrameData)}
     else:
-        chosen = recorded.keyframes(_SEGMENTED, np.array([own.has_image or own.has_mask for own in recorded.files]))
-        if given is None and len(chosen) < LEAST_KEYFRAMES:  # too few to find masks of another tool
-            return Begun.of(f"{len(chosen)} images that differ have readings, fewer than {LEAST_KEYFRAMES}")
-        found, least = _segmented(recorded, chosen, work), _FEWEST
-        recorded = recorded.measured(found.items())
-        keyframes = {i: partial(replace, found[i]) for i in recorded.keyframes(_FOUND_KEYFRAMES)}
+        task = partial(segment_task, rig=recorded.rig, settings=images)
+        masks = work.run(task, [recorded.files[i] for i in chosen])
+        found = {i: own for i, own in zip(chosen, masks, strict=True) if own is not None}
+    recorded = recorded.measured(found.items())
 
     def solution(solved: SessionCalibration | str) -> RecordedSolution | str:
-        if isinstance(solved, str):
-            return solved
-        own = RecordedSolution(recorded, solved, work)
-        return own if found is None else _with_colours(own, found)
+        return solved if isinstance(solved, str) else _with_colours(RecordedSolution(recorded, solved, work), found)
 
     if given is not None:
         return Begun.of(solution(given))
-    config = work.config if found is None else work.config.with_alike_masks()
-    return _begin_chosen(recorded, keyframes, replace(work, config=config), least).then(solution)
+    alike = replace(work, config=work.config.with_alike_masks())
+    keyframes = [frames[i] for i in recorded.keyframes() if i in frames]
+    return _begin_chosen(recorded, keyframes, alike, _FEWEST).then(solution)

@@ -18,7 +18,9 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.session_problem import ArmSetup
 from dvrk_cmaes.calibration.together import Begun, Outcome
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.estimation.image_frame import segment_view
 from dvrk_cmaes.frames.frame import FrameFiles
+from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.encode import encoded
@@ -37,7 +39,7 @@ from dvrk_cmaes.runs.recording import RecordedFrames, RecordedSolution, follow_w
 from dvrk_cmaes.runs.solver_process import SolverProcess
 from dvrk_cmaes.runs.track_inputs import EvidenceKind, files_of_views, read_arrays
 from dvrk_cmaes.runs.track_outputs import write_outputs
-from dvrk_cmaes.segment import segment
+from dvrk_cmaes.segment.segmentation import SegmentSettings
 from dvrk_cmaes.track import Tracker
 from dvrk_cmaes.track.keyframe_problem import SolutionSchedule
 
@@ -144,7 +146,7 @@ class TrackedArm:
         work = ArmSetup(series, instrument, method.arm, config, run, by.stage, lag=self._lag)
         if self._given is not None and not recorded.trusted.any():
             return Begun.of("no frame has readings of the outer joints that are not frozen")
-        return begin_solution(recorded, self._given, work, by_masks=settings.evidence == "masks")
+        return begin_solution(recorded, self._given, work, by_masks=settings.evidence == "masks", notice=by.notice)
 
     def _finish(self, own: Output, begun: Begun[RecordedSolution | str | None], outcome: Outcome | None) -> TrackedArm:
         """Finish the keyframes of the arm, whose folder and processes are open, follow it, and write everything.
@@ -223,7 +225,8 @@ class TrackedArm:
             images[name] = None if self.settings.evidence == "masks" else image
         first = self.session.rig.names[0]
         if files is self.recorded.files[0] and masks.get(first) is None and images.get(first) is not None:
-            mask = segment(images[first], **vars(files.hints)).mask
+            view = SeenView.of(self.session.rig.views[0], None, image=images[first])
+            mask = segment_view(view, files, files.hints, self.body, SegmentSettings()).mask
             masks[first] = mask if mask.any() else None
         return masks, images, ignored
 

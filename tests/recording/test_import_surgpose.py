@@ -18,6 +18,7 @@ from helpers.places import bundled_path
 from dvrk_cmaes import EstimateConfig, prepare, read_session
 from dvrk_cmaes.frames.markers import place_markers, read_detections, read_marker_table
 from dvrk_cmaes.runs.keyframes import segment_task
+from dvrk_cmaes.segment.segmentation import SegmentSettings
 
 pytestmark = pytest.mark.usefixtures("searches_short")
 
@@ -232,7 +233,8 @@ def test_points_need_labels(run: Run) -> None:
 def test_box_in_the_left_eye_chooses_the_arm_in_the_right_one(run: Run, made: Path, arms: MadeArms, arm: str) -> None:
     run("import", made, "--arm", arm, "--side", "both", "--out", "session")
     session = read_session("session")
-    found = segment_task(prepare("lnd"), EstimateConfig(), session.frames[4], rig=session.rig)
+    settings = SegmentSettings()
+    found = segment_task(prepare("lnd"), EstimateConfig(), session.frames[4], rig=session.rig, settings=settings)
     assert found is not None
     for view, right in zip(found.views, (False, True), strict=True):
         true = arms.coverages(4, right)[arm] > 0.5
