@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,7 +15,12 @@ from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer, exit_code, note
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 
 if TYPE_CHECKING:
+    from dvrk_cmaes.camera import Rig
+    from dvrk_cmaes.frames.frame import FrameFiles
+    from dvrk_cmaes.results.result import Result
+    from dvrk_cmaes.runs.frame import ArmInSession
     from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
+    from dvrk_cmaes.silhouette import Body
 
 
 def segment(
@@ -35,6 +41,9 @@ def segment(
     OUT/others/FRAME-2.png and so on. Where no shape is found, it takes what is grey before a colourful background, or
     what differs from a smooth one; in a folder with at least 6 images of a camera that stands still, what differs from
     the background that these show comes first. In a folder, the same prompts are used for every image.
+
+    Of a session folder with readings, these and its camera are used. Without prompts, images whose masks do not agree
+    with most others on where the arm's base is are looked at again, where these expect the instrument.
 
     `estimate` and `batch` find masks in images themselves, and more accurately, because they use the instrument's
     shape. Of a stereo session, the images of both eyes are segmented, into OUT/masks/left and OUT/masks/right.
@@ -72,10 +81,10 @@ def segment(
     from dvrk_cmaes.io.output import whole_folder
     from dvrk_cmaes.results.folder import check_output
     from dvrk_cmaes.runs.backgrounds import with_backgrounds
+    from dvrk_cmaes.segment.segmentation import Hints
     from dvrk_cmaes.silhouette.prepare import prepare
 
-    hints = model.hints()
-    prepare(instrument)  # before any image is read, and cached
+    hints, body = model.hints(), prepare(instrument)  # before any image is read
     cv2.setNumThreads(threads)
     folder, pattern = pictures_at(source)
     single = source.is_file() or not folder.is_dir()
@@ -83,31 +92,85 @@ def segment(
     images = {name: path for name, path in images.items() if fnmatch(name, pattern or "*")}
     if not images:
         raise InputError(f"{source}: expected images (PNG or JPEG), got none")
-    views: dict[str, list[FrameFiles]] = {}
+    names = {frame.rpartition("/")[2] for frame in images}
+    arm = None if single or model.model != "classic" else _with_readings(folder, names, body, threads)
+    known = {} if arm is None else {files.name: files for files in arm.session.frames}
+    pictures, views = dict[str, FrameFiles](), dict[str, list[FrameFiles]]()
     for frame, path in images.items():
         view, _, name = frame.rpartition("/")
         check_output(out, name)
-        views.setdefault(view, []).append(FrameFiles(name, None, image=path))
+        pictures[frame] = replace(known.get(name, FrameFiles(name, None)), image=path, others={})
+        views.setdefault(view, []).append(pictures[frame])
     settings = with_backgrounds(model.resolve(), views)
     with whole_folder(out, "segment", overwrite=True, kept=("masks", "overlays")) as temporary:
         for text in settings.notes:
             note(text)
-        found = {}
-        for frame, path in images.items():
+        rig = None if arm is None else arm.session.rig
+        written, found = dict[str, dict[str, Path]](), dict[str, dict[str, Any]]()
+
+        def find(frame: str, files: FrameFiles) -> None:
             try:
-                files, found[frame] = segment_file(frame, path, settings, hints, threads, temporary, instrument)
-                found[frame] |= {kind: str(out / path) for kind, path in files.items()}
+                paths, now = segment_file(frame, files, rig, body, settings, hints, threads, temporary)
             except DvrkCmaesError as error:
                 if single:
                     raise
-                found[frame] = {"status": "failed", "reason": str(error)}
+                found.setdefault(frame, {"status": "failed", "reason": str(error)})
+                return
+            for path in {*written.get(frame, {}).values()} - {*paths.values()}:
+                (temporary / path).unlink()
+            written[frame], found[frame] = paths, now | {kind: str(out / path) for kind, path in paths.items()}
+
+        for frame, files in pictures.items():
+            find(frame, files)
+        starts = {} if arm is None or hints != Hints() else _expected(arm, settings, temporary)
+        for frame, files in pictures.items():
+            if files.name in starts:
+                find(frame, replace(files, start=starts[files.name]))
     document = {"model": settings.model, "out": str(out), "frames": found}
     answer(document, (line for frame, of_frame in found.items() for line in _lines(frame, of_frame)), json=json)
     return exit_code(of_frame["status"] for of_frame in found.values())
 
 
+def _with_readings(folder: Path, names: set[str], body: Body, threads: int) -> ArmInSession | None:
+    """Return a session folder's arm as some frames see it, without masks; None where no readings of it can be used."""
+    from dvrk_cmaes.config import EstimateConfig
+    from dvrk_cmaes.estimation.one_tool import FrameMethod
+    from dvrk_cmaes.frames.session_folder import read_session
+    from dvrk_cmaes.runs.frame import ArmInSession
+
+    if not any((folder / name).exists() for name in ("joints.csv", "session.toml")):
+        return None
+    try:
+        session = read_session(folder, known=body.instrument.joint_names)
+    except InputError as error:
+        note(f"images alone are used: {error}")
+        return None
+    frames = tuple(files.changed(mask=None) for files in session.frames if files.name in names)
+    if not any(files.readings for files in frames) or any(files.crop is not None for files in frames):
+        return None
+    method = FrameMethod("classic", EstimateConfig(threads=threads))
+    return ArmInSession(replace(session, frames=frames), body, method)
+
+
+def _expected(arm: ArmInSession, settings: SegmentSettings, found: Path) -> dict[str, Result | None]:
+    """Return where most frames expect the instrument in those that do not agree with them, by the masks in a folder."""
+    from dvrk_cmaes.runs.agreement import expected_by_masks
+
+    again = expected_by_masks(replace(arm, method=replace(arm.method, segment=settings)), found)
+    if again:
+        note(f"{len(again)} images are looked at again, where the others expect the instrument")
+    return {files.name: files.start for files in again}
+
+
 def segment_file(
-    frame: str, path: Path, settings: SegmentSettings, hints: Hints, threads: int, out: Path, instrument: str
+    frame: str,
+    files: FrameFiles,
+    rig: Rig | None,
+    body: Body,
+    settings: SegmentSettings,
+    hints: Hints,
+    threads: int,
+    out: Path,
 ) -> tuple[dict[str, Path], dict[str, Any]]:
     """Segment one image and write the overlay and, as the last file, the mask.
 
@@ -116,40 +179,42 @@ def segment_file(
     """
     from time import perf_counter
 
+    import numpy as np
+
+    from dvrk_cmaes.camera import View
     from dvrk_cmaes.draw.track_overlay import draw_track
-    from dvrk_cmaes.frames.images import read_image
+    from dvrk_cmaes.estimation.image_frame import segment_view
+    from dvrk_cmaes.frames.images import match_size, read_image
+    from dvrk_cmaes.frames.seen_view import SeenView
     from dvrk_cmaes.io.json_file import write_image
     from dvrk_cmaes.results.folder import mask_path, overlay_path
     from dvrk_cmaes.results.tracked import TrackView
-    from dvrk_cmaes.segment import segment as segment_image
+    from dvrk_cmaes.segment.by_model import assumed_camera
     from dvrk_cmaes.segment.segmentation import GUESS
 
+    path, name = files.image, frame.rpartition("/")[0]
+    assert path is not None
     image = read_image(path)
     started = perf_counter()
-    background = settings.backgrounds.get(frame.rpartition("/")[0])
-    found = segment_image(
-        image,
-        model=settings.model,
-        weights=settings.weights,
-        threads=threads,
-        background=background,
-        instrument=instrument,
-        **vars(hints),
-    )
+    view = View(name, assumed_camera(*image.shape[1::-1]), np.eye(4))
+    if rig is not None:
+        view = replace(rig.view(name) if name else rig.views[0], name=name)
+        view = replace(view, camera=match_size(view.camera, image.shape[:2], "image", f"{path}: ")[0])
+    found = segment_view(SeenView.of(view, None, image=image), files, hints, body, settings, threads)
     seconds = perf_counter() - started
     if not found.mask.any():
         raise DvrkCmaesError(f"{path}: no instrument found; a box or a point on the instrument would help")
     here = Path()
-    files = {"mask": mask_path(here, frame), "overlay": overlay_path(here, frame)}
+    written = {"mask": mask_path(here, frame), "overlay": overlay_path(here, frame)}
     status = "doubtful" if found.confidence < GUESS else "ok"
     text = "; ".join([f"confidence {found.confidence:.2f}", *found.notes])
     shown = TrackView(image, found.mask, None, image.shape[1::-1])
-    write_image(out / files["overlay"], draw_track([shown], frame=frame, status=status, reasons=[text]))
+    write_image(out / written["overlay"], draw_track([shown], frame=frame, status=status, reasons=[text]))
     for number, other in enumerate(found.others, start=2):
-        files[f"mask_{number}"] = Path("others", f"{frame}-{number}.png")
-        write_image(out / files[f"mask_{number}"], other.mask)
-    write_image(out / files["mask"], found.mask)
-    return files, {
+        written[f"mask_{number}"] = Path("others", f"{frame}-{number}.png")
+        write_image(out / written[f"mask_{number}"], other.mask)
+    write_image(out / written["mask"], found.mask)
+    return written, {
         "status": status,
         "confidence": round(found.confidence, 4),
         "share": round(float(found.mask.mean()), 6),

@@ -7,6 +7,7 @@ same frames. Where a mask was found in an image, that is looked at again where m
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
@@ -17,15 +18,16 @@ import numpy as np
 
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import ecm_readings
+from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.evaluate.consistency import spread_of_bases
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.io.json_file import read_json_object, write_json
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.pose.doubts import BASE_APART, base_apart
-from dvrk_cmaes.results.folder import result_path
+from dvrk_cmaes.results.folder import found_masks, result_path
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.frame import ArmInSession
+from dvrk_cmaes.runs.frame import ArmInSession, estimate_frame, failed_outcome
 
 _LEAST_FRAMES: Final = 3
 _FACTOR: Final = 2.0  # of the squared distances from the own readings and from those of the other tool
@@ -188,6 +190,26 @@ def expected_elsewhere(arm: ArmInSession, results: Mapping[str, Result]) -> list
     expected = predict_from_first(found, {frame.name: images[frame.name].readings for frame in frames}, setup)
     names = body.instrument.joint_names
     return [replace(images[name], start=start_at(found[0].result, at, names)) for name, at in expected.items()]
+
+
+def expected_by_masks(arm: ArmInSession, folder: Path) -> list[FrameFiles]:
+    """Return the frames of `expected_elsewhere` by the masks in a folder that were found in their images."""
+    results = {}
+    for files in arm.session.frames:
+        own, results[files.name] = with_found_masks(files, folder), failed_outcome(arm, files, "no mask").result
+        with suppress(DvrkCmaesError):  # a mask that shows no pose
+            if own.has_mask:
+                results[files.name] = estimate_frame(read_frame(own, arm.session.rig), arm.body, arm.method)
+    return expected_elsewhere(arm, results)
+
+
+def with_found_masks(files: FrameFiles, folder: Path) -> FrameFiles:
+    """Return a frame with the masks in a folder that were found in its images, where it has no masks of its own."""
+    if files.has_mask:
+        return files
+    masks = {path.parent.name: path for path in found_masks(folder, files.name)}
+    others = {name: replace(own, mask=masks.pop(name, None)) for name, own in files.others.items()}
+    return replace(files, mask=next(iter(masks.values()), None), others=others)
 
 
 def start_at(like: Result, at: Posed, names: tuple[str, ...]) -> Result:

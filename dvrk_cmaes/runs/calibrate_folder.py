@@ -33,10 +33,10 @@ from dvrk_cmaes.results.folder import (
     SESSION,
     ResultsFolder,
     check_output,
-    found_masks,
     left_out_path,
     overlay_path,
 )
+from dvrk_cmaes.runs.agreement import with_found_masks
 from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.calibration_pictures import draw_task
 from dvrk_cmaes.runs.frame import ArmInSession, FrameOutcome, write_outcome
@@ -64,7 +64,7 @@ def begin_folder(
         A process died, or the disk is full.
     """
     session, instrument, config = arm.session, arm.body.instrument, arm.method.config
-    files = {own.name: _with_mask(own, alone.folder) for own in session.frames}
+    files = {own.name: with_found_masks(own, alone.folder) for own in session.frames}
     frames = []
     for name, own in files.items():
         check_output(out, name)
@@ -123,15 +123,6 @@ def _written(
             own.describe(manifest | {"solved": "together"})
         finish(place, trust=arm.method.config.trust)
     return solved
-
-
-def _with_mask(files: FrameFiles, alone: Path) -> FrameFiles:
-    """Return a frame with the masks that were found in its images, where it has no masks of its own."""
-    if files.has_mask:
-        return files
-    masks = {path.parent.name: path for path in found_masks(alone, files.name)}
-    others = {name: replace(own, mask=masks.pop(name, None)) for name, own in files.others.items()}
-    return replace(files, mask=next(iter(masks.values()), None), others=others)
 
 
 def write_cameras(calibration: SessionCalibration, rig: Rig, out: Path) -> None:
