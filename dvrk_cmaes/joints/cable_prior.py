@@ -19,38 +19,22 @@ third of the width of the other, because a cable gives way before it slips.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
-from msgspec import Struct
 
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.files import bundled_path
 from dvrk_cmaes.io.json_file import read_json_object
-from dvrk_cmaes.io.typed_document import convert_document
 
 _WRIST: Final = ("wrist_pitch", "wrist_yaw")
 _OTHER_ARMS: Final = 0.5  # standard deviation of another arm's coefficient, relative to the mean of the fits,
 _LEAST_SPREAD: Final = {"roll": 0.02}  # but at least this, rad a rad,
 _WRIST_SPREAD: Final = 0.1  # or for the joints of the instrument this
 _UNKNOWN_COUPLING: Final = 0.15  # rad a rad, standard deviation of a coupling that was not measured
-
-
-class _Fit(Struct):
-    """A fit of the model to a recording; lists by joint."""
-
-    joints: tuple[str, ...]
-    offset_deg: list[float]
-    coupling: list[list[float]]
-    play: list[list[float]]
-    narrow: list[float]
-    width_deg: list[float]
-    wander_deg: list[float]
-    wander_seconds: list[float]
-    noise_deg: list[float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +55,8 @@ def measured_cables(names: tuple[str, ...]) -> tuple[CableModel, ...]:
 
     A joint that was not measured has the mean play of the wrist's joints, no coupling and no drag.
     """
-    path = bundled_path("cables", "measured.json")
-    document = read_json_object(path, expected="fits of cables")
-    return tuple(
-        _of_joints(fit, names) for fit in convert_document(str(path), document, dict[str, tuple[_Fit, ...]])["fits"]
-    )
+    document = read_json_object(bundled_path("cables", "measured.json"), expected="fits of cables")
+    return tuple(_of_joints(fit, names) for fit in document["fits"])
 
 
 @cache
@@ -102,33 +83,31 @@ def _mean(fits: Sequence[CableModel]) -> CableModel:
     return CableModel(fits[0].names, offset=none, **means | {"reference": none})
 
 
-def _of_joints(fit: _Fit, names: tuple[str, ...]) -> CableModel:
-    """Return a fit for some joints."""
-    measured = np.array([name in fit.joints for name in names])
-    places = [fit.joints.index(name) if name in fit.joints else 0 for name in names]
-    wrist = [fit.joints.index(name) for name in _WRIST]
+def _of_joints(fit: Mapping[str, Any], names: tuple[str, ...]) -> CableModel:
+    """Return a fit for some joints; it has lists by joint, and lists of lists for pairs of joints."""
+    known: list[str] = fit["joints"]
+    measured = np.array([name in known for name in names])
+    places = [known.index(name) if name in known else 0 for name in names]
+    wrist = [known.index(name) for name in _WRIST]
+    arrays = {name: np.array(values) for name, values in fit.items()}
 
-    def each(values: Sequence[float]) -> Float64:
+    def each(values: Float64) -> Float64:
         """Return values (C,) of the joints; for one that was not measured, the mean of the wrist's."""
-        of_fit = np.array(values)
-        return np.where(measured, of_fit[places], of_fit[wrist].mean())
+        return np.where(measured, values[places], values[wrist].mean())
 
-    def pairs(values: list[list[float]], own: Float64) -> Float64:
+    def pairs(values: Float64, own: Float64) -> Float64:
         """Return values (C, C) of pairs of joints; of pairs that were not measured, the diagonal ``own`` (C,)."""
-        return np.where(measured[:, None] & measured, np.array(values)[np.ix_(places, places)], np.diag(own))
+        return np.where(measured[:, None] & measured, values[np.ix_(places, places)], np.diag(own))
 
-    own_play = each(np.diag(np.array(fit.play)).tolist())
+    none = np.zeros(len(names))
     return CableModel(
         names,
-        np.zeros(len(names)),
-        np.deg2rad(each(fit.offset_deg)),
-        pairs(fit.coupling, np.zeros(len(names))),
-        pairs(fit.play, own_play),
-        each(fit.narrow),
-        np.deg2rad(each(fit.width_deg)),
-        np.deg2rad(each(fit.wander_deg)),
-        each(fit.wander_seconds),
-        np.deg2rad(each(fit.noise_deg)),
+        reference=none,
+        coupling=pairs(arrays["coupling"], none),
+        play=pairs(arrays["play"], each(np.diag(arrays["play"]))),
+        narrow=each(arrays["narrow"]),
+        seconds=each(arrays["wander_seconds"]),
+        **{name: np.deg2rad(each(arrays[f"{name}_deg"])) for name in ("offset", "width", "wander", "noise")},
     )
 
 
