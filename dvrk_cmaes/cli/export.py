@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from dvrk_cmaes.cli.options import OUTPUT, Flag, options
+from dvrk_cmaes.cli.options import OUTPUT, Flag, options, whole
 from dvrk_cmaes.cli.terminal import Line, note, show, warn
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.export.table import FORMATS
@@ -107,8 +107,8 @@ class FormatGiven:
     arm: Annotated[str, Parameter(group=NAMES)] = "PSM1"
     camera_frame: Annotated[str, Parameter(group=NAMES)] = "camera"
     base_frame: Annotated[str | None, Parameter(group=NAMES)] = None
-    scene: Annotated[int, Parameter(group=NAMES)] = 0
-    object_id: Annotated[int, Parameter(group=NAMES)] = 1
+    scene: Annotated[int, whole(0, group=NAMES)] = 0
+    object_id: Annotated[int, whole(0, group=NAMES)] = 1
     dvrk_version: Annotated[Literal["2.4", "2.3"], Parameter(group=DVRK)] = "2.4"
     ecm_pose: Annotated[Path | None, Parameter(group=DVRK)] = None
 
@@ -155,10 +155,6 @@ def export(
     json
         Print only a summary, as JSON, on stdout: what was exported and the files written.
     """
-    if chosen.scene < 0 or chosen.object_id < 0:
-        raise InputError(
-            f"--scene, --object-id: expected whole numbers of at least 0, got {chosen.scene}, {chosen.object_id}"
-        )
     if chosen.ecm_pose is not None and chosen.to != "dvrk":
         raise InputError(f"--ecm-pose: expected the format dvrk, got --to {chosen.to}")
     if bag != BagOptions() and chosen.to not in ("ros1-bag", "ros2-bag") and (chosen.to, bag.tool) != ("tum", None):

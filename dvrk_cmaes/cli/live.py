@@ -22,8 +22,8 @@ from dvrk_cmaes.cli.options import (
     Flag,
     MethodOptions,
     UrdfOptions,
-    Whole,
     options,
+    whole,
 )
 from dvrk_cmaes.cli.terminal import Line, note, show, stopping_on_interrupt
 from dvrk_cmaes.errors import InputError
@@ -136,13 +136,11 @@ class ServerOptions:
 
     via: Literal["rosbridge", "rclpy"] = "rosbridge"
     host: str = "127.0.0.1"
-    port: Whole = 9090
+    port: Annotated[int, whole(1, 2**16 - 1)] = 9090
     wait: Flag = False
 
     def connection(self, report: Report) -> Connection:
-        """Return the connection, not opened yet; InputError for a port that is none."""
-        if not 0 < self.port < 2**16:
-            raise InputError(f"--port: expected 1 to 65535, got {self.port}")
+        """Return the connection, not opened yet."""
         from dvrk_cmaes.live.rclpy_node import RclpyConnection
         from dvrk_cmaes.live.rosbridge import RosbridgeConnection
 

@@ -73,7 +73,6 @@ def whole(least: float = -math.inf, most: float = math.inf, **more: Any) -> Para
 
 
 LayoutOption = Literal["mono", "side-by-side", "top-bottom"] | None
-Whole = Annotated[int, whole()]
 EveryNth = Annotated[int, whole(1, MOST_SKIPPED)]
 SeedOption = Annotated[int, whole(0, LARGEST_SEED)]
 Processes = Annotated[int | None, whole(1, MOST_PROCESSES)]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from dvrk_cmaes.cli.options import OUTPUT, CameraOptions, Flag, SeedOption, UrdfOptions, Whole, options
+from dvrk_cmaes.cli.options import OUTPUT, CameraOptions, Flag, SeedOption, UrdfOptions, options, whole
 from dvrk_cmaes.cli.terminal import Line, show
 from dvrk_cmaes.errors import InputError
 
@@ -59,7 +59,7 @@ class SynthOptions:
 
     level: Literal["clean", "easy", "medium", "hard"] = "medium"
     motion: Literal["free", "rcm", "video"] = "rcm"
-    frames: Whole = 10
+    frames: Annotated[int, whole(1, _MOST_FRAMES)] = 10
     lag: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     stereo: Flag = False
     arms: Literal[1, 2] = 1
@@ -70,8 +70,6 @@ class SynthOptions:
 
     def check(self) -> None:
         """Raise an InputError for values that are not valid, or do not fit together."""
-        if not 1 <= self.frames <= _MOST_FRAMES:
-            raise InputError(f"--frames: expected 1 to {_MOST_FRAMES}, got {self.frames}")
         for option, given in (("--lag", self.lag is not None), ("--ecm", self.ecm)):
             if given and self.motion != "video":
                 raise InputError(f"{option}: expected it with --motion video only, got --motion {self.motion}")

@@ -173,7 +173,7 @@ def test_command_writes_session_and_prints_plan(tmp_path: Path, capsys: pytest.C
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (["--frames", "0"], "--frames: expected 1 to 100000, got 0"),
+        (["--frames", "0"], "--frames: expected a whole number of at least 1, got 0"),
         (["--seed", "-1"], "--seed: expected a whole number of at least 0, got -1"),
     ],
 )
