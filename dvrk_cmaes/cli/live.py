@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
-from threading import Event, Timer
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
@@ -268,7 +267,7 @@ def live(
     with ExitStack() as stack:
         setup = _described(topics, camera, instrument, method, output, stack)
         prepare_long_run()
-        stop = stack.enter_context(_stopped(output.seconds))
+        stop = stack.enter_context(stopping_on_interrupt("", seconds=output.seconds))
         shown = stack.enter_context(shown_state())
         connection.open(timeout=2.0)
         begin_within = math.inf if server.wait else _FIRST_IMAGE
@@ -353,16 +352,3 @@ def shown_state(*, renewed: float = _RENEWED, lines: float = _LINES) -> Iterator
                 note(state())
 
         yield show_due
-
-
-@contextmanager
-def _stopped(seconds: float) -> Iterator[Event]:
-    """Yield an event that is set after some seconds, or by Ctrl-C."""
-    with stopping_on_interrupt("") as stop:
-        timer = Timer(min(seconds, 1e8), stop.set)
-        timer.daemon = True
-        timer.start()
-        try:
-            yield stop
-        finally:
-            timer.cancel()

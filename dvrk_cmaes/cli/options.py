@@ -163,14 +163,12 @@ class ReadingOptions:
     frame_offset: Annotated[int | None, whole(allow_leading_hyphen=True)] = None
     frame_step: EveryNth = 1
 
-    def read_as(self, arm: str | None = None, columns: tuple[str, ...] = ()) -> ReadAs:
-        """Return how files are read; ``arm`` and ``columns`` are those of session.toml."""
+    def read_as(self, arm: str | None = None) -> ReadAs:
+        """Return how files are read; ``arm`` is that of session.toml."""
         from dvrk_cmaes.joints.rows import ReadAs
 
         offset = 0 if self.frame_offset is None and self.frame_step > 1 else self.frame_offset
-        return ReadAs(
-            arm or None, columns if self.columns is None else column_names(self.columns), offset, self.frame_step
-        )
+        return ReadAs(arm or None, column_names(self.columns), offset, self.frame_step)
 
 
 def column_names(text: str | None) -> tuple[str, ...]:

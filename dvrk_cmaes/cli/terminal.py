@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import io
+import math
 import os
 import signal
 import sys
@@ -182,12 +183,17 @@ def exit_code(statuses: Iterable[str]) -> int:
 
 
 @contextlib.contextmanager
-def stopping_on_interrupt(said: str = _STOPPING) -> Iterator[threading.Event]:
+def stopping_on_interrupt(said: str = _STOPPING, *, seconds: float = math.inf) -> Iterator[threading.Event]:
     """Give an event that is set by the first Ctrl-C (or SIGTERM, SIGHUP); the second one raises KeyboardInterrupt.
 
-    Signals are not handled outside the main thread, nor SIGHUP, of a closed terminal, where nohup ignores it.
+    It is set after some ``seconds``, too. Signals are not handled outside the main thread, nor SIGHUP, of a closed
+    terminal, where nohup ignores it.
     """
     stop = threading.Event()
+    timer = threading.Timer(min(seconds, threading.TIMEOUT_MAX), stop.set)
+    timer.daemon = True
+    if seconds < math.inf:
+        timer.start()
 
     def handle(number: int, frame: FrameType | None) -> None:
         if stop.is_set():
@@ -196,13 +202,14 @@ def stopping_on_interrupt(said: str = _STOPPING) -> Iterator[threading.Event]:
         if said:
             warn(said)
 
-    if threading.current_thread() is not threading.main_thread():
-        yield stop
-        return
     hang_up = [] if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else [signal.SIGHUP]
-    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM, *hang_up)}
+    handled = (signal.SIGINT, signal.SIGTERM, *hang_up)
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        before = {number: signal.signal(number, handle) for number in handled}
     try:
         yield stop
     finally:
+        timer.cancel()
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -252,10 +252,8 @@ def _report_of(arm: TrackedArm, *, compared: bool) -> ArmReport:
 
     known, counts = arm.calibration, arm.counts
     warnings = (*arm.session.rig.remarks, *arm.remarks, *(() if known is None else known.warnings))
-    code = DOUBTFUL if set(counts) - {"ok"} else 0
-    if not compared:
-        return ArmReport(counts, _lines(arm), warnings, code)
-    return ArmReport(counts, _lines(arm), warnings, code, followed_results(arm), known)
+    to_compare = (followed_results(arm), known) if compared else ()
+    return ArmReport(counts, _lines(arm), warnings, DOUBTFUL if set(counts) - {"ok"} else 0, *to_compare)
 
 
 def _lines(arm: TrackedArm) -> Iterator[Line]:
