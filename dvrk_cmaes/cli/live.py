@@ -275,13 +275,13 @@ def live(
             counts = follow(setup, connection, note, stop, show=shown, begin_within=begin_within)
         finally:
             connection.close()
-    said = f"{counts.followed} images followed, {counts.published} results published, {counts.ok} ok"
-    show([Line(f"{said}; {counts.refused} images or readings left out")])
+    show([Line(counts.in_words)])
     written = () if output.out is None else sorted(output.out.rglob(SESSION))
     show(Line(f"written: {path}") for path in written)
     if output.out is not None and len(written) < len(topics.psm):
         missing = f"{len(topics.psm) - len(written)} of {len(topics.psm)}"
-        note(f"{output.out}: {SESSION} of {missing} arms not written: keyframes have not determined a base")
+        why = "the calibration of --session was used" if method.calibration else "keyframes have not determined a base"
+        note(f"{output.out}: {SESSION} of {missing} arms not written: {why}")
     return 0
 
 

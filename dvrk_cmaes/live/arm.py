@@ -35,7 +35,8 @@ _STATE_EVERY: Final = 1.0  # s without a result, after which the status says why
 class LiveArm:
     """Follows an arm, and publishes what is found.
 
-    ``poses`` and ``ok`` count what was published, ``base_state`` says how far the arm's base is known.
+    ``poses`` and ``ok`` count what was published, ``base_state`` says how far the arm's base is known; ``reasons`` are
+    those of the last result, ``waited`` the time, s, from the first image to the first pose that is ok.
 
     Parameters
     ----------
@@ -65,6 +66,7 @@ class LiveArm:
     ) -> None:
         self.name, self.state, self.base_state = name, "waiting for the camera", ""
         self.poses = self.ok = self.published = 0
+        self.reasons, self.waited, self._first = tuple[str, ...](), 0.0, 0
         self.draws, self._make_tracker = outputs.drawn is not None, make_tracker
         self._outputs, self._report, self._now = outputs, report, now
         self._reason, self._stated = "", now()
@@ -113,6 +115,9 @@ class LiveArm:
         result = doubted(result, reasons(image_old(old, OLD)))
         self.published += self._outputs.publish(frame.time, result, old, silent, image, state)
         self.poses += result.camera_from_root is not None and result.status != "lost"
+        self.reasons, self._first = result.reasons, self._first or frame.time
+        if not self.ok:
+            self.waited = (frame.time - self._first) / NANOSECONDS
         self.ok += result.status == "ok"
         self._stated = self._now()
         self.set_state(WAITING)

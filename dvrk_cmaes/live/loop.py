@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from threading import Event
 from typing import Final
 
@@ -30,12 +30,31 @@ Sizes = Mapping[str, tuple[int, int]]
 
 @dataclass
 class LiveCounts:
-    """Frames followed, results published, ok ones of these, frames and readings left out."""
+    """Frames followed, results published, ok ones of these, frames and readings left out.
+
+    waited : time from the first image to the first ok result of the last arm to have one, s. why : reason of the last
+    result. ages : of the last images, s.
+    """
 
     followed: int = 0
     published: int = 0
     ok: int = 0
     refused: int = 0
+    waited: float = 0.0
+    why: str = ""
+    ages: deque[float] = field(default_factory=lambda: deque(maxlen=_LATEST))
+
+    @property
+    def in_words(self) -> str:
+        """The counts in one line, with the reason of the last result where none was ok."""
+        said = f"{self.followed} images followed, {self.published} results published, {self.ok} ok"
+        said += f" (from {self.waited:.1f} s on)" if self.ok else ""
+        said += f"; {self.refused} images or readings left out"
+        said += f"; {self.why}" if self.why and not self.ok else ""
+        if not self.ages:
+            return said
+        median, most = 1e3 * np.median(self.ages), 1e3 * max(self.ages)
+        return f"{said}; age of the last images {median:.0f} ms in the median, up to {most:.0f} ms"
 
 
 class LiveLoop:
@@ -70,7 +89,6 @@ class LiveLoop:
         self._stated: Rig | None = None
         self._rig: Rig | None = None  # of the images' size
         self._times, self._ages = ImageTimes(), Ages()
-        self._latest: deque[float] = deque(maxlen=_LATEST)
         if rig is not None:
             self._use(rig)
 
@@ -105,7 +123,7 @@ class LiveLoop:
     def _state(self) -> str:
         """Return the state in one line."""
         images = f"{self.counts.followed} image{'' if self.counts.followed == 1 else 's'}"
-        age = f"age up to {1e3 * max(self._latest):.0f} ms" if self._latest else ""
+        age = f"age up to {1e3 * max(self.counts.ages):.0f} ms" if self.counts.ages else ""
         arms = []
         for arm in self._arms:
             own = (f"{arm.poses} poses", f"{arm.ok} ok", arm.base_state) if self.began else (arm.state,)
@@ -167,12 +185,16 @@ class LiveLoop:
         followed = any(finished)
         self.counts.published = sum(arm.published for arm in self._arms)
         self.counts.ok = sum(arm.ok for arm in self._arms)
+        self.counts.waited = max((arm.waited for arm in self._arms if arm.ok), default=0.0)
+        self.counts.why = next((reason for arm in self._arms for reason in arm.reasons), "")
         self.counts.followed += followed
         self.counts.refused += not followed
         if followed:
-            self._latest.append(age())
-            if self._latest[-1] > OLD:
-                self._report(f"images are {self._latest[-1]:.1f} s old: this computer, or the way here, is too slow")
+            self.counts.ages.append(age())
+            if self.counts.ages[-1] > OLD:
+                self._report(
+                    f"images are {self.counts.ages[-1]:.1f} s old: this computer, or the way here, is too slow"
+                )
         return followed
 
     def _leave_out(self, reason: str) -> None:

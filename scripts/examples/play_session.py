@@ -216,9 +216,11 @@ class Robot:
         found = list[tuple[float, str, dict[str, Any]]]()
         for arm, topic in self.joints.items():
             times, values = self.readings(arm)
-            for k, moment in enumerate(times.tolist()):
-                position = [float(column[k]) for column in values.values()]
-                found.append((moment, topic, {"header": header(moment), "name": list(values), "position": position}))
+            jaw = {name: values.pop(name) for name in ("jaw",) if name in values}  # a topic of its own, as of a robot
+            for own, read in ((topic, values), (f"/{arm}/jaw/measured_js", jaw)):
+                for k, moment in enumerate(times.tolist() if read else ()):
+                    fields = {"name": list(read), "position": [float(column[k]) for column in read.values()]}
+                    found.append((moment, own, {"header": header(moment), **fields}))
         for number, moment in enumerate(self.times().tolist()):
             for topic, data in self.pictures(number):
                 found.append((moment, topic, {"header": header(moment), "format": "png", "data": data}))
