@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
@@ -215,7 +215,7 @@ class FoundBlock(Document):
     text: str
     doubt: str = ""
     applied: bool = False
-    moves: tuple[tuple[Number, ...], ...] = ()
+    moves: tuple[tuple[Number, ...], ...] = field(default=(), repr=False)
 
     @classmethod
     def of(

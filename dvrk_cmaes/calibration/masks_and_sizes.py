@@ -71,7 +71,7 @@ class MaskMargin(SeenBlock):
         priors = (1 - _WIDE_SHARE, self._usual), (_WIDE_SHARE, self.std)
         mean, square = with_mixture(alone, covariance + _LEAST_STD**2, priors)
         px, std = mean.item(), np.sqrt(np.diag(square) - mean**2)
-        than, done = "wide" if px > 0 else "narrow", "taken off" if self.used else "left as they are"
+        than, done = "wide" if px > 0 else "narrow", "corrected" if self.used else "left as they are"
         text = f"masks are {abs(px):.2f} px (std {std.item():.2f}) too {than} all round; {done}"
         found = FoundBlock.of((MARGIN,), (mean, std, self.std), text, applied=self.used)
         return found, square_left(found)

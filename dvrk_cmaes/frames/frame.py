@@ -76,6 +76,11 @@ class FrameFiles:
     without_reading: bool = False
     mask_name: str | None = None
 
+    def __repr__(self) -> str:
+        kinds = (str, Path, Mapping, tuple, float)
+        given = {key: value for key, value in vars(self).items() if isinstance(value, kinds) and value}
+        return f"FrameFiles({', '.join(f'{key}={value!r}' for key, value in given.items())})"
+
     @property
     def has_mask(self) -> bool:
         """Whether the frame has a mask, in at least one view."""

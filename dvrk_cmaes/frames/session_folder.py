@@ -73,7 +73,7 @@ _CAMERAS = (
 )
 _TABLES = ("images.csv", "keypoints.csv", "boxes.csv", "markers.csv", "poses.csv")
 _MASKS = ("masks", "SegmentationClass")  # the latter of CVAT and VOC
-_NOT_MASKS = ("images", "ignore", "golden.json", "run.json")
+_NOT_MASKS = ("images", "ignore", "golden.json", "run.json", "synth.json")
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 _TOPIC_DUMP = re.compile(r"(.*_)?(measured_js|state_joint_current|state_jaw_current)\.(csv|ya?ml|txt)", re.IGNORECASE)
 

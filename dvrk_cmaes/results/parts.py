@@ -116,7 +116,7 @@ class ExpectedError(Document):
     tip_90_mm: Number
     shaft_deg: Number
     tip_90_given_camera_mm: Number | None = None
-    tip_covariance_mm2: dict[str, SquareOfThree] = field(default_factory=dict)
+    tip_covariance_mm2: dict[str, SquareOfThree] = field(default_factory=dict, repr=False)
 
     @property
     def of_tips_mm(self) -> float:

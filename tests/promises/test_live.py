@@ -174,7 +174,9 @@ def test_nothing_is_ok_before_the_base_is_known_and_faults_cost_one_image_each(k
     assert all(state["level"] > 0 and state["message"] for state in found)
     assert live.code == 0
     assert live.out.count("\n") == 1
-    assert re.search("results published, 0 ok; .*; (base not known yet|searching): .*; age of the last images", live.out)
+    assert re.search(
+        "results published, 0 ok; .*; (base not known yet|searching): .*; age of the last images", live.out
+    )
     lines = live.err.splitlines()
     assert lines[-1].endswith("live: session.json of 1 of 1 arms not written: keyframes have not determined a base")
     assert all(line.startswith("dvrk-cmaes: ") for line in lines), live.err
