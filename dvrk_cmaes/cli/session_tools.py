@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -183,11 +184,9 @@ def reason_lines(reasons: Mapping[str, Sequence[str]]) -> Iterator[Line]:
 
 def _stretches(names: Sequence[str], places: Sequence[int]) -> Iterator[str]:
     """Yield the frames at increasing places, those that follow each other as ``FIRST to LAST``."""
-    first = places[0]
-    for place, following in zip(places, (*places[1:], None), strict=True):
-        if following != place + 1:
-            yield names[first] if first == place else f"{names[first]} to {names[place]}"
-            first = following or 0
+    for _, run in groupby(enumerate(places), lambda counted: counted[1] - counted[0]):
+        in_row = [names[place] for _, place in run]
+        yield in_row[0] if len(in_row) == 1 else f"{in_row[0]} to {in_row[-1]}"
 
 
 def _write_bases(

@@ -73,7 +73,7 @@ def test_reading_outside_limits_gives_warning(run: Run, quick: Path) -> None:
     ("arguments", "expected"),
     [
         (frame(mask=None), ["--mask"]),
-        (frame(search="cma-es"), ["--search", "cmaes", "'cma-es'"]),
+        (frame(search="cma-es"), ["--search", "cmaes", '"cma-es"']),
         (frame(refine="bobyqa"), ["--refine: no option here", "--preset card", "--search"]),
         (frame(label="#12", pick="3,4"), ["--label", "#00ff00", "#12"]),
         (frame(label=70000), ["--label", "0 to 65535", "70000"]),
