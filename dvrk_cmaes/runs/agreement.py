@@ -7,7 +7,6 @@ same frames. Where a mask was found in an image, that is looked at again where m
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
@@ -18,7 +17,6 @@ import numpy as np
 
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import ecm_readings
-from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.evaluate.consistency import spread_of_bases
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.geometry import Posed
@@ -27,7 +25,7 @@ from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.pose.doubts import BASE_APART, base_apart
 from dvrk_cmaes.results.folder import found_masks, result_path
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.frame import ArmInSession, estimate_frame, failed_outcome
+from dvrk_cmaes.runs.frame import ArmInSession, estimated, failed_outcome
 
 _LEAST_FRAMES: Final = 3
 _FACTOR: Final = 2.0  # of the squared distances from the own readings and from those of the other tool
@@ -194,13 +192,9 @@ def expected_elsewhere(arm: ArmInSession, results: Mapping[str, Result]) -> list
 
 def expected_by_masks(arm: ArmInSession, folder: Path) -> list[FrameFiles]:
     """Return the frames of `expected_elsewhere` by the masks in a folder that were found in their images."""
-    results = {}
-    for files in arm.session.frames:
-        own, results[files.name] = with_found_masks(files, folder), failed_outcome(arm, files, "no mask").result
-        with suppress(DvrkCmaesError):  # a mask that shows no pose
-            if own.has_mask:
-                results[files.name] = estimate_frame(read_frame(own, arm.session.rig), arm.body, arm.method)
-    return expected_elsewhere(arm, results)
+    frames = [with_found_masks(files, folder) for files in arm.session.frames]
+    found = (estimated(arm, own) if own.has_mask else failed_outcome(arm, own, "no mask was found") for own in frames)
+    return expected_elsewhere(arm, {own.name: outcome.result for own, outcome in zip(frames, found, strict=True)})
 
 
 def with_found_masks(files: FrameFiles, folder: Path) -> FrameFiles:

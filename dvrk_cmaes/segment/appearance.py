@@ -75,9 +75,8 @@ class Appearance:
         edges = edge_scores(image, counts)
         within = cv2.erode(counts.astype(np.uint8), np.ones((3, 3)), borderType=cv2.BORDER_CONSTANT, borderValue=0)
         before = np.zeros(counts.shape, np.float32)
-        if (
-            foreground is not None
-        ):  # thin parts locate wrist and jaws; the inside of the shaft is large and locates nothing
+        if foreground is not None:
+            # thin parts locate wrist and jaws; the inside of the shaft is large and locates nothing
             inside = cv2.distanceTransform((foreground > 0).astype(np.uint8), cv2.DIST_L2, 3)
             before = np.where(counts, foreground / np.maximum(inside / _THICK, 1), 0).astype(np.float32)
         self._before = 1 / max(float(np.maximum(before, 0).sum()), 1.0)

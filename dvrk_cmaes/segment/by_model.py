@@ -53,10 +53,8 @@ _BEHIND: Final = 0.6  # unless their score is less than the best one's by this
 _INSTRUMENTS: Final = 3  # that are looked at further
 _MOST: Final = 4  # that are returned
 _ENDS: Final = 4, 2  # of each, that are optimised further, twice
-_PASSES: Final = {
-    False: (2, 4, 6),
-    True: (4, 6, 10),
-}  # of the first, second and last optimisation, by a background, too
+_PASSES: Final = {False: (2, 4, 6), True: (4, 6, 10)}
+"""Of the first, second and last optimisation, without and with a background."""
 _ALIKE: Final = 0.85  # overlap of silhouettes of which the worse one is no further end
 _SHARES: Final = np.array([0.4, 0.7, 1.0])  # of the way to the peak of the parabolas
 _SCALE: Final = np.array([7e-4, 4e-3, 4e-3, np.deg2rad(10), np.deg2rad(2), np.deg2rad(15)])
@@ -119,77 +117,25 @@ def find_instruments(
     whether its sides are a shaft's, too. ``foreground`` are log-odds of instrument by a known background, of any size.
     Edges are looked for within a box; axes of the shaft that do not pass near points on the instrument are left out.
     """
-    instrument, outside = body.instrument, prompts.outside
-    if instrument.shaft is None:
-        return []
-    (fine, _), (size, _) = (size_within(image.shape, longest) for longest in (_LINES, REDUCED))
-    lines = np.max(cv2.split(shrunk(image, _LINES)), axis=0)
-    unseen = prompts.background
-    if foreground is not None:
-        unseen = unseen | ~resized(_near_foreground(foreground), outside.shape[1::-1])
-    radius, most = instrument.shaft.radius, _MOST_PAIRS if prompts.given else _PAIRS
-    pairs = find_pairs(lines, camera.scaled(*fine), radius, resized(unseen, fine), most)
-    pairs = [pair for pair in pairs if _passes_near(pair, prompts.points, camera, radius)][:_PAIRS]
-    if rough is not None:
-        pair = pair_of_mask(rough, camera.scaled(rough.shape[1], rough.shape[0]), radius)
-        pairs += [] if pair is None else [pair]
+    pairs = _pairs_in(image, prompts, body, camera, rough, foreground)
     if not pairs:
         return []
-    coarse = camera.scaled(*size)
-    meshes = [_with_few_faces(body, faces) for faces in _FACES]
-    ranked = _appearance(image, outside, meshes[0], camera, _RANKED, foreground)
-    appearance = _appearance(image, outside, meshes[1], camera, REDUCED, foreground)
-    read = np.array([np.nan if joints is None else joints.get(name, np.nan) for name in instrument.joint_names])
-    jaw = np.array([name == "jaw" for name in instrument.joint_names])
-    straight = np.where(np.isnan(read), np.where(jaw, _JAW, 0.0), read)
-    axes = _along(pairs, coarse)
-    places = np.concatenate(axes)
-    tried = Posed(places, np.tile(straight, (len(places), 1)))
-    scored = ranked.scores(tried).total
-    usual = float(np.percentile(scored, _USUAL))
-    bent = np.isnan(read[~jaw]).any()
-
-    def turns(counts: tuple[int, int], bends: Float64) -> Posed:
-        return _turns(counts[not bent], read, jaw, instrument.joint_names, bends if bent else np.zeros((1, 2)))
-
-    best = np.array(_best_along(axes, scored))
-    tried = tried[best[_ordered(scored[best])[:_BENT]]]
-    bends = _turned(tried.pose, turns(_FIRST_ROLLS, _FIRST_BENDS))
-    scored = ranked.scores(bends).total.reshape(len(tried), -1).max(axis=1)
-    renderer = Renderer(meshes[1], coarse, threads=1)
-    every = turns(_ROLLS, _BENDS)
-    masks, apart = renderer.masks(tried.pose, tried.joints), _Apart(tried, coarse, 5.0)
-    begin: list[Posed] = []
-    for group in _grouped(masks, scored, _GROUPS, _TURNED // len(every.pose), apart):
-        if begin and scored[group[0]] < usual:
-            break
-        at = _turned(tried.pose[group], every)
-        starts = _starts(at, ranked.scores(at).total, len(every), coarse)
-        varied, own = _best_of_each(appearance, [_varied(at[[k]]) for k in starts])
-        begin.append(varied[[k for k in _ordered(own)[:_BEGUN] if own[k] > own.max() - _BEHIND]])
+    search = _Search(image, prompts.outside, body, camera, joints, foreground)
+    begin, usual = search.starts(_along(pairs, search.camera))
     if expected is not None:
         varied = _varied(expected[None])
-        begin.append(varied[_ordered(appearance.scores(varied).total)[:_BEGUN]])
+        begin.append(varied[_ordered(search.compared.scores(varied).total)[:_BEGUN]])
     if not begin:
         return []
     at = _joined(begin)
-    scale = np.concatenate([_SCALE, np.where(np.isnan(read), 0.35, 0.08)])
-
-    def improved(begin: Posed, passes: int, most: int, ends: int) -> tuple[Posed, Scores, Bool, list[list[int]]]:
-        """Return better poses, their scores and silhouettes, and which of them are the ends of an instrument."""
-        at = _optimised(appearance, begin, scale, passes)
-        scores, masks = appearance.scores(at), renderer.masks(at.pose, at.joints)
-        differ = partial(_are_unlike, masks)
-        return at, scores, masks, _grouped(masks, scores.total, most, ends, differ)
-
     *first, last = _PASSES[foreground is not None]
     for passes, ends in zip(first, _ENDS, strict=True):
-        at, _, _, groups = improved(at, passes, _INSTRUMENTS, ends)
+        at, _, _, groups = search.improved(at, passes, _INSTRUMENTS, ends)
         if not groups:
             return []
         at = at[[k for group in groups for k in group]]
-    at, _ = _best_of_each(ranked, [_slid(at[k], _ROLLS[0]) for k in range(len(at))])
-    at, scores, masks, groups = improved(at, last, _MOST, 1)
+    at, _ = _best_of_each(search.ranked, [_slid(at[k], _ROLLS[0]) for k in range(len(at))])
+    at, scores, masks, groups = search.improved(at, last, _MOST, 1)
     sure = 1 / (1 + np.exp(-(np.c_[scores.measures, scores.total - usual] @ _LOG_ODDS[:-1] + _LOG_ODDS[-1])))
     if foreground is not None:
         sure = np.array([_explained(mask, foreground) for mask in masks])
@@ -197,6 +143,88 @@ def find_instruments(
     if expected is not None:
         return sorted(found, key=lambda each: float(np.square(each.at.minus(expected)[:6] / _EXPECTED).sum()))
     return sorted(found, key=lambda each: (each.confidence < GUESS, -each.score))
+
+
+def _pairs_in(
+    image: Image, prompts: Prompts, body: Body, camera: Camera, rough: Bool | None, foreground: Float32 | None
+) -> list[Pair]:
+    """Return the pairs of lines that may be a shaft's edges in an image, arguments as of `find_instruments`."""
+    if body.instrument.shaft is None:
+        return []
+    radius, most = body.instrument.shaft.radius, _MOST_PAIRS if prompts.given else _PAIRS
+    size, _ = size_within(image.shape, _LINES)
+    unseen = prompts.background
+    if foreground is not None:
+        unseen = unseen | ~resized(_near_foreground(foreground), unseen.shape[1::-1])
+    lines = np.max(cv2.split(shrunk(image, _LINES)), axis=0)
+    pairs = find_pairs(lines, camera.scaled(*size), radius, resized(unseen, size), most)
+    pairs = [pair for pair in pairs if _passes_near(pair, prompts.points, camera, radius)][:_PAIRS]
+    pair = None if rough is None else pair_of_mask(rough, camera.scaled(*rough.shape[1::-1]), radius)
+    return pairs if pair is None else [*pairs, pair]
+
+
+class _Search:
+    """Search of an image for an instrument: likelihoods at the size at which places are ranked and at the larger one.
+
+    ``camera`` is that of the larger one, ``read`` (J,) are the readings, rad, NaN without one.
+    """
+
+    def __init__(
+        self,
+        image: Image,
+        outside: Bool,
+        body: Body,
+        camera: Camera,
+        joints: Mapping[str, float] | None,
+        foreground: Float32 | None,
+    ) -> None:
+        meshes = [_with_few_faces(body, faces) for faces in _FACES]
+        self.camera, self._names = camera.scaled(*size_within(image.shape, REDUCED)[0]), body.instrument.joint_names
+        self.ranked = _appearance(image, outside, meshes[0], camera, _RANKED, foreground)
+        self.compared = _appearance(image, outside, meshes[1], camera, REDUCED, foreground)
+        self._renderer = Renderer(meshes[1], self.camera, threads=1)
+        self.read = np.array([(joints or {}).get(name, np.nan) for name in self._names])
+        self._bent = any(np.isnan(value) for value, name in zip(self.read, self._names, strict=True) if name != "jaw")
+
+    def _turns(self, counts: tuple[int, int], bends: Float64) -> Posed:
+        """Return some rolls, at the joints that are read or at some bends (B, 2) of pitch and yaw."""
+        tried = bends if self._bent else np.zeros((1, 2))
+        angles = [[{"jaw": _JAW, "wrist_pitch": bend[0]}.get(name, bend[1]) for name in self._names] for bend in tried]
+        joints = np.where(np.isnan(self.read), angles, self.read)
+        rolls = _rolls(counts[not self._bent])
+        return Posed(np.repeat(rolls, len(joints), axis=0), np.tile(joints, (len(rolls), 1)))
+
+    def starts(self, axes: list[Float64]) -> tuple[list[Posed], float]:
+        """Return the poses along axes (N, 4, 4) from which each instrument is optimised, and the score of most places.
+
+        Of the best places, turned and bent, each instrument's are tried at all turns, the best of these at other
+        distances and tilts. Instruments whose best place scores less than most are left out.
+        """
+        places = np.concatenate(axes)
+        tried = Posed(places, np.tile(self._turns((1, 1), np.zeros((1, 2))).joints, (len(places), 1)))
+        scored = self.ranked.scores(tried).total
+        usual = float(np.percentile(scored, _USUAL))
+        best = np.array(_best_along(axes, scored))
+        tried = tried[best[_ordered(scored[best])[:_BENT]]]
+        bends = _turned(tried.pose, self._turns(_FIRST_ROLLS, _FIRST_BENDS))
+        scored = self.ranked.scores(bends).total.reshape(len(tried), -1).max(axis=1)
+        every, begin = self._turns(_ROLLS, _BENDS), list[Posed]()
+        masks, apart = self._renderer.masks(tried.pose, tried.joints), _Apart(tried, self.camera, 5.0)
+        for group in _grouped(masks, scored, _GROUPS, _TURNED // len(every.pose), apart):
+            if begin and scored[group[0]] < usual:
+                break
+            at = _turned(tried.pose[group], every)
+            chosen = _starts(at, self.ranked.scores(at).total, len(every), self.camera)
+            varied, own = _best_of_each(self.compared, [_varied(at[[k]]) for k in chosen])
+            begin.append(varied[[k for k in _ordered(own)[:_BEGUN] if own[k] > own.max() - _BEHIND]])
+        return begin, usual
+
+    def improved(self, begin: Posed, passes: int, most: int, ends: int) -> tuple[Posed, Scores, Bool, list[list[int]]]:
+        """Return better poses, their scores and silhouettes, and which of them are the ends of an instrument."""
+        scale = np.concatenate([_SCALE, np.where(np.isnan(self.read), 0.35, 0.08)])
+        at = _optimised(self.compared, begin, scale, passes)
+        scores, masks = self.compared.scores(at), self._renderer.masks(at.pose, at.joints)
+        return at, scores, masks, _grouped(masks, scores.total, most, ends, partial(_are_unlike, masks))
 
 
 def _passes_near(pair: Pair, points: Sequence[Pixel], camera: Camera, radius: float) -> bool:
@@ -378,15 +406,6 @@ def _best_along(axes: list[Float64], scores: Float64) -> list[int]:
 def _rolls(count: int) -> Float64:
     """Return turns (R, 4, 4) about the shaft by equal angles."""
     return transform(rotation_about_z(np.arange(count) * 2 * np.pi / count), np.zeros((count, 3)))
-
-
-def _turns(count: int, read: Float64, jaw: Bool, names: tuple[str, ...], bends: Float64) -> Posed:
-    """Return some rolls, at the joints that are read or at some bends (B, 2) of pitch and yaw."""
-    rows = []
-    for bend in bends:
-        angles = [_JAW if jaw[k] else bend[0] if name == "wrist_pitch" else bend[1] for k, name in enumerate(names)]
-        rows.append(np.where(np.isnan(read), angles, read))
-    return Posed(np.repeat(_rolls(count), len(rows), axis=0), np.tile(rows, (count, 1)))
 
 
 def _slid(at: Posed, count: int) -> Posed:

@@ -27,13 +27,7 @@ def levels(guide: Float32) -> Image:
     return np.asarray(np.clip((guide - low) / (high - low + 1e-6) * _GUIDE, 0, 255), np.uint8)
 
 
-def cut(
-    log_odds: Float32,
-    guide: Image,
-    *,
-    background: Bool,
-    tool: Bool,
-) -> Bool:
+def cut(log_odds: Float32, guide: Image, *, background: Bool, tool: Bool) -> Bool:
     """Label pixels as instrument or background by a minimum cut.
 
     Parameters

@@ -168,11 +168,7 @@ class Sam2:
         self._encoder, self._decoder = open_export(Path(weights), threads)
         self._seen: tuple[bytes, Tensors] | None = None  # the last image's digest and features
 
-    def segment(
-        self,
-        image: NDArray[np.uint8],
-        hints: Hints,
-    ) -> Segmentation:
+    def segment(self, image: NDArray[np.uint8], hints: Hints) -> Segmentation:
         """Segment the object that all prompts together indicate.
 
         Parameters
@@ -244,11 +240,7 @@ def load_sam2(weights: Path, threads: int) -> Sam2:
 
 
 def segment_sam2(
-    image: NDArray[np.uint8],
-    weights: Path,
-    threads: int,
-    hints: Hints,
-    otherwise: Callable[[], Segmentation],
+    image: NDArray[np.uint8], weights: Path, threads: int, hints: Hints, otherwise: Callable[[], Segmentation]
 ) -> Segmentation:
     """Segment the instrument as `Sam2.segment` does; without a box or a point, by those of the ``classic`` mask.
 
