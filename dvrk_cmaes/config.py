@@ -82,9 +82,9 @@ class SearchConfig:
     """
 
     method: str = "cmaes"
-    samples: int = 768
-    starts: int = 40
-    evaluations: int = 720
+    samples: int = 256
+    starts: int = 24
+    evaluations: int = 1024
     width_px: int = field(default=80, metadata=_WIDTH)
     detail_m: float = field(default=6e-4, metadata=Limits(least=1e-6).metadata)
     use_edges: bool = True
