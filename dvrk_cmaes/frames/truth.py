@@ -26,7 +26,7 @@ from dvrk_cmaes.io.csv_file import number_in, read_csv_rows, rows_by_frame
 from dvrk_cmaes.io.encode import rounded_array, rounded_values
 from dvrk_cmaes.io.json_file import read_json_object, write_json
 from dvrk_cmaes.io.short_text import listed
-from dvrk_cmaes.io.typed_document import Number, Point, Transform, convert_document, present_fields, refused
+from dvrk_cmaes.io.typed_document import Number, Point, Transform, convert_document, refused
 
 _EXPECTED = "the truth of a session (golden.json)"
 _MOST_TIPS = 2
@@ -36,11 +36,11 @@ class _TruthEntry(Struct):
     T_camera_roll_link: Transform
     joints: dict[str, Number]
     tips_camera_m: tuple[Point, ...] | None = None
-    visible: Annotated[float, Meta(ge=0, le=1, description="a number from 0 to 1")] = 1.0
+    visible: Annotated[float, Meta(ge=0, le=1, description="a number from 0 to 1")] | None = None
 
 
 class _TruthDocument(Struct):
-    frames: dict[str, Any]
+    frames: dict[str, _TruthEntry]
     camera_from_base: Transform | None = None
 
 
@@ -74,7 +74,7 @@ def read_golden(path: str | Path) -> SessionTruth:
         Naming the file, the frame and the field, and what was expected.
     """
     document = convert_document(str(path), read_json_object(path, expected=_EXPECTED), _TruthDocument)
-    frames = {name: _read_frame(f"{path}: frame {name}", entry) for name, entry in document.frames.items()}
+    frames = {name: _truth(f"{path}: frames.{name}", entry) for name, entry in document.frames.items()}
     return SessionTruth(frames, document.camera_from_base)
 
 
@@ -90,15 +90,12 @@ def write_golden(path: str | Path, truth: SessionTruth) -> None:
     )
 
 
-def _read_frame(where: str, document: object) -> FrameTruth:
-    fields = present_fields(where, document)
-    if not fields.get("tips_camera_m"):
-        fields.pop("tips_camera_m", None)  # an empty list for an instrument without jaws
-    entry = convert_document(where, fields, _TruthEntry)
-    tips = None if entry.tips_camera_m is None else np.stack(entry.tips_camera_m)
-    if tips is not None and len(tips) > _MOST_TIPS:
-        raise refused(where, "tips_camera_m", "1 or 2 rows of 3 finite numbers", tips.tolist())
-    return FrameTruth(entry.T_camera_roll_link, entry.joints, tips, entry.visible)
+def _truth(where: str, entry: _TruthEntry) -> FrameTruth:
+    tips = entry.tips_camera_m or ()  # an empty list for an instrument without jaws
+    if len(tips) > _MOST_TIPS:
+        raise refused(where, "tips_camera_m", "1 or 2 rows of 3 finite numbers", np.stack(tips).tolist())
+    visible = 1.0 if entry.visible is None else entry.visible
+    return FrameTruth(entry.T_camera_roll_link, entry.joints, np.stack(tips) if tips else None, visible)
 
 
 def truth_entry(frame: FrameTruth) -> dict[str, Any]:
