@@ -1,7 +1,8 @@
 """Blocks: named groups of unknowns that the frames of a session share, and a calibration as the values of them.
 
 A block has a prior, a retraction (how a step changes its value), and a derivative: a `PredictedBlock` of the poses and
-joints that are predicted of the frames, a `SeenBlock` of the points of their outlines in the images.
+joints that are predicted of the frames, a `SeenBlock` of the points of their outlines in the images. A `TestedBlock` of
+either kind is what a file states: every session says what its frames show of it.
 """
 
 from __future__ import annotations
@@ -122,15 +123,10 @@ class Offsets(PredictedBlock):
 
 @dataclass(frozen=True, eq=False)
 class ViewAsSeen:
-    """How a view is taken to see the instrument: its ``camera``, ``place`` (4, 4), m, and mask's ``margin``, px.
-
-    ``scale`` is the factor on the instrument.
-    """
+    """How a view is taken to see the instrument: its ``camera``, and its mask's ``margin``, px."""
 
     camera: Camera
-    place: Float64
-    margin: float
-    scale: float = 1.0
+    margin: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,8 +138,8 @@ class OutlineOfView:
     at: Posed
 
 
-class SeenBlock(Block, ABC):
-    """A block that changes what the views show: the camera, the masks, or the instrument.
+class TestedBlock(Block, ABC):
+    """A block of what a file states, by which every session tests it: camera, masks, or instrument.
 
     Parameters
     ----------
@@ -160,8 +156,6 @@ class SeenBlock(Block, ABC):
 
     parameters: ClassVar[tuple[str, ...]] = ()
     """Which of the `PARAMETERS` of camera and instrument the unknowns are; by default none."""
-    is_linear: ClassVar[bool] = False
-    """Whether the outlines are always linearised where the unknowns are zero."""
     is_alike: ClassVar[bool] = True
     """Whether errors that all masks share widen what the frames show of it (``session.shared_errors``)."""
     widens: ClassVar[bool] = True
@@ -176,6 +170,21 @@ class SeenBlock(Block, ABC):
         """Whether outlines that are linearised at some values (n,) are still near the masks; by default always."""
         return True
 
+    @abstractmethod
+    def stated(self, alone: Float64, covariance: Float64) -> tuple[FoundBlock, Float64]:
+        """State what is found of the unknowns, and return the mean square (n, n) of the errors that are left of them.
+
+        Values that are not used are left as errors. ``alone`` (n,) and ``covariance`` (n, n) are what the frames show
+        by themselves, without the prior.
+        """
+
+
+class SeenBlock(TestedBlock):
+    """A block that changes what the views show."""
+
+    is_linear: ClassVar[bool] = False
+    """Whether the outlines are always linearised where the unknowns are zero."""
+
     def seen(self, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
         """Return how a view sees with the values (n,); as it is for a linear block.
 
@@ -189,14 +198,6 @@ class SeenBlock(Block, ABC):
     @abstractmethod
     def effect(self, outline: OutlineOfView) -> Float64:
         """Return the displacements (N, n) of the outline's points by the unknowns, times their normals' lengths, px."""
-
-    @abstractmethod
-    def stated(self, alone: Float64, covariance: Float64) -> tuple[FoundBlock, Float64]:
-        """State what is found of the unknowns, and return the mean square (n, n) of the errors that are left of them.
-
-        Values that are not used are left as errors. ``alone`` (n,) and ``covariance`` (n, n) are what the frames show
-        by themselves, without the prior.
-        """
 
 
 @dataclass(frozen=True)
@@ -258,7 +259,7 @@ class BlockCheck:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """The values of the K unknowns of a session's blocks, in the order of a step: what is predicted, then what is seen.
+    """The values of the K unknowns of a session's blocks, in the order of a step: those that are tested are the last.
 
     ``values`` are those of the ``blocks`` by name.
     """
@@ -303,13 +304,18 @@ class Calibration:
         return tuple(block for block in self.blocks if isinstance(block, SeenBlock))
 
     @property
+    def tested(self) -> tuple[TestedBlock, ...]:
+        """The blocks that are tested."""
+        return tuple(block for block in self.blocks if isinstance(block, TestedBlock))
+
+    @property
     def own(self) -> int:
-        """Number of unknowns that change what is predicted."""
-        return sum(len(block.std) for block in self.predicted)
+        """Number of unknowns that are not tested."""
+        return sum(len(block.std) for block in self.alone().blocks)
 
     @property
     def further(self) -> Float64:
-        """Values (E,) of the other unknowns, block after block."""
+        """Values (E,) of the unknowns that change what the views show, block after block."""
         return np.concatenate([np.zeros(0), *(self.values[block.name] for block in self.seen)])
 
     def place(self, name: str) -> slice:
@@ -324,19 +330,19 @@ class Calibration:
         return Calibration(self.blocks, changed)
 
     def with_blocks(self, *blocks: Block, **values: Any) -> Calibration:
-        """Return the calibration with further blocks and other values, those of seen blocks by default their start.
+        """Return the calibration with further blocks and other values, those of tested blocks by default their start.
 
         A block takes the place of one of the same name.
         """
         new = {block.name: block for block in blocks}
         whole = [new.pop(block.name, block) for block in self.blocks] + list(new.values())
-        whole.sort(key=lambda block: not isinstance(block, PredictedBlock))
-        starts = {block.name: block.start for block in blocks if isinstance(block, SeenBlock)}
+        whole.sort(key=lambda block: isinstance(block, TestedBlock))
+        starts = {block.name: block.start for block in blocks if isinstance(block, TestedBlock)}
         return Calibration(tuple(whole), {**self.values, **starts, **values})
 
     def alone(self, without: str = "") -> Calibration:
-        """Return the calibration with the blocks that change what is predicted only, less one of some name."""
-        kept = tuple(block for block in self.predicted if block.name != without)
+        """Return the calibration without the blocks that are tested, and without that of some name."""
+        kept = tuple(block for block in self.blocks if not isinstance(block, TestedBlock) and block.name != without)
         return Calibration(kept, {block.name: self.values[block.name] for block in kept})
 
 

@@ -8,6 +8,8 @@ from typing import Final, Literal
 
 import numpy as np
 
+from dvrk_cmaes.calibration.blocks import OutlineOfView, SeenBlock
+from dvrk_cmaes.calibration.masks_and_sizes import MARGIN_ALONE
 from dvrk_cmaes.config import EstimateConfig, OutlineConfig
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
 from dvrk_cmaes.geometry import Bool, Float64, Posed
@@ -15,7 +17,7 @@ from dvrk_cmaes.joints.prior import split_readings
 from dvrk_cmaes.pose.doubts import LEAST_OVERLAP
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, refine
 from dvrk_cmaes.pose.refine.information import ALL, Selection
-from dvrk_cmaes.pose.terms.coverage import Coverage, DrawnCoverage, of_margin
+from dvrk_cmaes.pose.terms.coverage import Coverage
 from dvrk_cmaes.pose.terms.shared_errors import SIDES, without_last
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_locals
@@ -54,11 +56,6 @@ class OwnEstimate:
         """Correlation lengths of the contours' errors, px, one of each view."""
         return tuple(noise.length for noise in self.noises)
 
-    def of_view(self, number: int) -> OwnEstimate:
-        """Return the same pose with the noise of one view alone; the residual is that of the only view, if it is."""
-        alone = len(self.noises) == 1
-        return replace(self, noises=(self.noises[number],), residual=self.residual if alone else None)
-
     @classmethod
     def of(cls, views: Sequence[FrameView], at: Posed) -> OwnEstimate:
         """Measure an estimate in the views that show the instrument."""
@@ -75,21 +72,38 @@ class OwnEstimate:
 class FrameFit:
     """A frame's pose, fitted to its outlines with the session's prior.
 
-    ``information`` (D, D), D = 6 + J, is the Gauss-Newton matrix of what the image alone shows at the fit, and
-    ``slope`` (D,) the gradient of half its sum of squares.
+    ``outline`` are the terms of what the image alone shows near the fit, in its changes (D,), D = 6 + J, and of a
+    margin of all masks, px. ``seen`` (1, D + E) are those of one view, in changes of the fit and of the E unknowns of
+    blocks, of which the first is that margin, from the values with which the frame is fitted; None without that view.
     ``evaluations`` is the number of silhouettes that were rendered. ``iou`` is the intersection over union of the fit's
     silhouette and the mask; ``own_iou`` is that of the frame's own estimate.
-    ``by_margin`` (D,) is the change of ``information`` times what the outline shows of the pose, per px of a margin of
-    all masks.
     """
 
     at: Posed
-    information: Float64
-    slope: Float64
-    by_margin: Float64
+    outline: Quadratic
     evaluations: int
     iou: float
     own_iou: float
+    seen: Quadratic | None = None
+
+    @property
+    def information(self) -> Float64:
+        """Gauss-Newton matrix (D, D) of the outline's terms at the fit."""
+        return self.outline.information[0, : self._size, : self._size]
+
+    @property
+    def slope(self) -> Float64:
+        """Gradient (D,) of half their sum of squares."""
+        return self.outline.slope[0, : self._size]
+
+    @property
+    def by_margin(self) -> Float64:
+        """Change (D,) of ``information`` times what the outline shows of the pose, per px of a margin of all masks."""
+        return self.outline.information[0, : self._size, self._size]
+
+    @property
+    def _size(self) -> int:
+        return 6 + len(self.at.joints)
 
     @property
     def explains_mask(self) -> bool:
@@ -106,18 +120,18 @@ class FrameFit:
 
     def moved_to(self, expected: Expected) -> FrameFit:
         """Return the fit where it would be with another prior, as in `step_to`, with the outline's slope there."""
-        step = self._step(expected)[0]
-        return replace(self, at=self.at.moved(step), slope=self.slope + self.information @ step)
+        return self.moved_by(self._step(expected)[0])
+
+    def moved_by(self, change: Float64) -> FrameFit:
+        """Return the fit after a change (D,), with the outline's slopes there."""
+        seen = None if self.seen is None else self.seen.moved_by(change)
+        return replace(self, at=self.at.moved(change), outline=self.outline.moved_by(change), seen=seen)
 
     def _step(self, expected: Expected) -> tuple[Float64, Float64]:
         """Return the change (D,) of the fit with another prior, and the slope (D,) there, whose minimum it is."""
         information = self.information + expected.information
         slope = self.slope + expected.information @ self.at.minus(expected.mean)
         return -np.asarray(np.linalg.solve(information, slope), dtype=np.float64), slope
-
-    def without_outline(self) -> FrameFit:
-        """Return the fit with zero information and slope, so that it does not influence the calibration."""
-        return replace(self, information=np.zeros_like(self.information), slope=np.zeros_like(self.slope))
 
 
 @dataclass(frozen=True)
@@ -145,6 +159,9 @@ LINES_PER_PIXEL: Final = 1
 
 IN_SESSION: Final = FitPreset()
 """Fit of a frame of a session that is solved, or of a single frame of one that is calibrated."""
+
+WHERE_IT_IS: Final = FitPreset(Steps(0))
+"""Fit of a frame of a session that is near its minimum already, for its outline's terms there: one step."""
 
 FOLLOWED: Final = FitPreset(Steps(12, 3, 0.0, "none", 4.0), noise="weighed", sides=1.0)
 """Fit of an image that follows others, near the prediction: two or three steps are enough there, more are far off."""
@@ -179,6 +196,8 @@ def fit_frame(
     margin: float = 0.0,
     lengths: Sequence[float] = (),
     preset: FitPreset = IN_SESSION,
+    blocks: Sequence[SeenBlock] = (MARGIN_ALONE,),
+    shown: int | None = None,
 ) -> tuple[FrameFit, OwnEstimate]:
     """Fit a frame from several starts; returns the fit with the best score, and what its outlines are measured by.
 
@@ -193,18 +212,18 @@ def fit_frame(
     starts
         Starting poses, at least one.
     own_estimate
-        The frame's estimate without the session. The noise of the outlines is measured from its residuals, to which
-        the session's prior has not contributed. If None, the noise is estimated during the fit, and measured at its
-        end.
+        The frame's estimate without the session, by whose residuals the noise of the outlines is measured. If None,
+        that is estimated during the fit, and measured at its end.
     margin
         Margin of the masks, px, that is taken off all round.
     lengths
         Correlation lengths of the contours' errors, px, one of each view, until they are measured; those of the own
         estimate or of the settings by default.
-    preset
-        How the fit is found.
+    preset, blocks, shown
+        How the fit is found; the blocks in whose unknowns the outline is also approximated, the masks' margin first;
+        the number of the view that shows them.
     """
-    limits, _, _ = split_readings(views[0].renderer.body.instrument, {}, config)
+    limits = split_readings(views[0].renderer.body.instrument, {}, config)[0]
     terms = terms_of_frame(views, limits, config.refine.outline, expected)
     fit, coverage, seen = _refined(views, config, terms, starts, own_estimate, margin, lengths, preset)
     own = own_estimate or OwnEstimate.drawn_as(views, fit.at, seen)
@@ -215,11 +234,26 @@ def fit_frame(
         fit = _drawn_anew(fit, coverage)
         count += coverage.silhouettes
     iou = own.iou if own_estimate is None else overlap(views, seen)
-    as_seen = config.session.shadows if preset.as_seen is None else preset.as_seen
-    at, drawn = (fit.drawn_at, fit.drawn) if all(one.outlined for one in fit.drawn) else (fit.at, None)
-    outline, by_margin = _outline_and_margin(coverage, at, own.noises, preset, drawn, as_seen=as_seen)
-    end, slope = _stepped(at, outline, terms)
-    return FrameFit(end, outline.information[0], slope, by_margin, count, iou, own.iou), own
+    outline, of_one = _outlines(coverage, fit, own.noises, preset, config, blocks, shown)
+    return _stepped(FrameFit(fit.drawn_at, outline, count, iou, own.iou, of_one), terms), own
+
+
+def _outlines(
+    coverage: Coverage,
+    fit: Fit,
+    noises: Sequence[OutlineNoise],
+    preset: FitPreset,
+    config: EstimateConfig,
+    blocks: Sequence[SeenBlock],
+    shown: int | None,
+) -> tuple[Quadratic, Quadratic | None]:
+    """Return the terms of the outlines near a drawn fit, of all views and of the one that shows blocks."""
+    preset = replace(preset, as_seen=config.session.shadows if preset.as_seen is None else preset.as_seen)
+    whole = _near(coverage, fit, noises, preset, blocks if len(noises) == 1 else blocks[:1])
+    if shown is None or len(noises) == 1:
+        return whole, None if shown is None else whole
+    alone = replace(fit, drawn=(fit.drawn[shown],))
+    return whole, _near(coverage.of_view(shown), alone, noises[shown : shown + 1], preset, blocks)
 
 
 def _refined(
@@ -246,35 +280,34 @@ def _refined(
     steps = replace(steps, tolerance=max(steps.tolerance, outline.tolerance))
     selection = Selection(_SHARE, _GAP, least=_KEPT) if preset.steps is None else ALL
     fit = min(refine(coverage, terms, Posed.stacked(starts), steps, selection), key=lambda each: each.score)
-    if preset.noise == "drawn":
+    if preset.noise == "drawn" or not all(one.outlined for one in fit.drawn):
         fit = _drawn_anew(fit, coverage)
+    if preset.noise == "drawn":
         seen = [view.silhouette(image) for view, image in zip(coverage.views, fit.drawn, strict=True)]
     else:
         seen = [view.silhouette(fit.at) for view in views]
     return fit, coverage, seen
 
 
-def _outline_and_margin(
+def _near(
     coverage: Coverage,
-    at: Posed,
+    fit: Fit,
     noises: Sequence[OutlineNoise],
     preset: FitPreset,
-    drawn: DrawnCoverage | None,
-    *,
-    as_seen: bool,
-) -> tuple[Quadratic, Float64]:
-    """Return the outline's terms (1, D) near a pose, and what a margin of all masks does to them, as in `FrameFit`.
+    blocks: Sequence[SeenBlock],
+) -> Quadratic:
+    """Return the outlines' terms near a drawn fit, in its changes and those of blocks, as in `FrameFit`.
 
     The errors of the shaft's sides are eliminated.
     """
 
-    def margin(number: int, outline: OutlinePoints, by_pose: Float64) -> Float64:
-        return of_margin(outline)[:, None]
+    def columns(number: int, points: OutlinePoints, by_pose: Float64) -> Float64:
+        drawn = OutlineOfView(coverage.views[number], points, fit.drawn_at)
+        return np.column_stack([block.effect(drawn) for block in blocks])
 
-    whole = coverage.near_with_sides(at, noises, margin, drawn, stride=preset.stride, as_seen=as_seen)
-    sides, own = np.eye(SIDES * len(coverage.views)), 6 + len(at.joints)
-    both = without_last(whole, sides / preset.sides**2)
-    return Quadratic(both.information[:, :own, :own], both.slope[:, :own]), both.information[0, :own, own]
+    stride, as_seen = preset.stride, bool(preset.as_seen)
+    whole = coverage.near_with_sides(fit.drawn_at, noises, columns, fit.drawn, stride=stride, as_seen=as_seen)
+    return without_last(whole, np.eye(SIDES * len(coverage.views)) / preset.sides**2)
 
 
 def _drawn_anew(fit: Fit, coverage: Coverage) -> Fit:
@@ -282,19 +315,16 @@ def _drawn_anew(fit: Fit, coverage: Coverage) -> Fit:
     return replace(fit, drawn=coverage.draw(Posed.stacked([fit.at]))[0], drawn_at=fit.at)
 
 
-def _stepped(at: Posed, outline: Quadratic, terms: Sequence[Term]) -> tuple[Posed, Float64]:
-    """Return where a fit is after one step, of at most 3 mm, and the slope (D,) of the outline's terms there.
-
-    ``outline`` (1, D) are its terms about the pose ``at``, without the errors that the masks share; ``terms`` are the
-    others.
-    """
-    whole = outline + sum_of_locals(terms, Posed.stacked([at]))
-    step = -np.linalg.solve(whole.information[0], whole.slope[0])
+def _stepped(fit: FrameFit, terms: Sequence[Term]) -> FrameFit:
+    """Return a fit after one step, of at most 3 mm, by the outline's terms there and by the others."""
+    here = Posed.stacked([fit.at])
+    others = sum_of_locals(terms, here)
+    step = -np.linalg.solve(fit.information + others.information[0], fit.slope + others.slope[0])
     step *= min(1.0, _LARGEST_STEP / max(float(np.linalg.norm(step[:3])), 1e-12))
-    end = at.moved(step)
+    end = fit.at.moved(step)
     for term in terms:
         end = term.allowed(Posed.stacked([end]))[0]
-    return end, outline.slope[0] + outline.information[0] @ end.minus(at)
+    return replace(fit.moved_by(end.minus(fit.at)), at=end)
 
 
 def with_noise(own_estimate: OwnEstimate, views: Sequence[FrameView], config: EstimateConfig) -> OwnEstimate:

@@ -11,18 +11,19 @@ the camera's file is right.
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import ClassVar, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
 from dvrk_cmaes.calibration.blocks import (
     CLEAR,
+    Calibration,
     FoundBlock,
     OutlineOfView,
+    PredictedBlock,
     SeenBlock,
+    TestedBlock,
     ViewAsSeen,
     square_by_file,
     with_mixture,
@@ -30,10 +31,13 @@ from dvrk_cmaes.calibration.blocks import (
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Float64, apply
-from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.doubts import OTHER_SIZES
+from dvrk_cmaes.pose.refine.information import times
 from dvrk_cmaes.pose.terms.coverage import of_margin
 from dvrk_cmaes.pose.terms.shared_errors import NEAREST
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.calibration.model import SessionModel
 
 MARGIN: Final = "margin"
 """Name of the block."""
@@ -75,6 +79,10 @@ class MaskMargin(SeenBlock):
         text = f"masks are {abs(px):.2f} px (std {std.item():.2f}) too {than} all round; {done}"
         found = FoundBlock.of((MARGIN,), (mean, std, self.std), text, applied=self.used)
         return found, square_left(found)
+
+
+MARGIN_ALONE: Final = MaskMargin(1.0, 0.0, used=True)
+"""The only block by which frames of a recording are fitted."""
 
 
 def square_left(margin: FoundBlock) -> Float64:
@@ -129,30 +137,15 @@ _TEXTS: Final = {
 }
 
 
-class Sizes(SeenBlock):
+class Sizes(TestedBlock):
     """Logarithms (n,) of factors on ``sizes`` of the instrument; nothing is known of one that it lacks."""
 
     is_alike = widens = False
     sizes: ClassVar[tuple[str, ...]]
 
-    def __init__(self, name: str, std: float, known: float, instrument: Instrument) -> None:
+    def __init__(self, name: str, std: float, known: float) -> None:
         super().__init__(name, np.full(len(self.sizes), std))
         self.known, self.weak = np.full(len(self.sizes), known), np.full(len(self.sizes), _WEAK_SIZE)
-        self._instrument = instrument
-
-    @abstractmethod
-    def moves(self, outline: OutlineOfView, in_root: Float64) -> Sequence[Float64]:
-        """Return the moves (N, 3), m, by each of the sizes, of an outline's points (N, 3) in the root's frame."""
-
-    def effect(self, outline: OutlineOfView) -> Float64:
-        """Return the displacements of the outline's points by each of the sizes."""
-        points, camera = outline.points, outline.view.camera
-        seen = outline.at.seen_from(outline.view.view.view_from_camera)
-        in_root = apply(self._instrument.forward(seen.joints)[points.link], points.points[:, None])[:, 0]
-        placed, by_size = apply(seen.pose, in_root), np.stack(self.moves(outline, in_root)) @ seen.pose[:3, :3].T
-        depth = np.maximum(placed[:, 2:], NEAREST)
-        across = (by_size[..., :2] - by_size[..., 2:] * placed[:, :2] / depth) * [camera.fx, camera.fy] / depth
-        return np.asarray((points.normals * across).sum(axis=2).T)
 
     def stated(self, alone: Float64, covariance: Float64) -> tuple[FoundBlock, Float64]:
         """State the sizes that the frames fit, which are a doubt where they are those of another instrument."""
@@ -168,55 +161,77 @@ class Sizes(SeenBlock):
         return found, square_by_file(alone, covariance, self.known, range(len(alone)), _OTHER_TOOL)
 
 
-class PartSizes(Sizes):
+class PartSizes(Sizes, SeenBlock):
     """Sizes of the instrument's parts: the shaft's radius, the length from the wrist's to the jaws' axis, the jaws'."""
 
     is_linear = True
     sizes = ("radius", "wrist", "jaws")
 
-    def __init__(self, config: EstimateConfig, instrument: Instrument, camera: Camera) -> None:
-        super().__init__("parts", _PART_STD, _PART_STD, instrument)
+    def __init__(self, config: EstimateConfig, camera: Camera) -> None:
+        super().__init__("parts", _PART_STD, _PART_STD)
 
-    def moves(self, outline: OutlineOfView, in_root: Float64) -> Sequence[Float64]:
-        """Return the moves of the points by each of the sizes, which are zero by one of a part that they are not on."""
-        body, joints, links = self._instrument, outline.at.joints, outline.points.link
-        by_radius, by_wrist, by_jaws = (np.zeros_like(in_root) for _ in self.sizes)
-        if (shaft := body.shaft) is not None:
-            sides = outline.view.sides_of_shaft(outline.points, outline.at).any(axis=1)
-            off = in_root[sides] - shaft.point
-            by_radius[sides] = off - (off @ shaft.direction)[:, None] * shaft.direction
-        if not (hinges := body.hinges):
-            return by_radius, by_wrist, by_jaws
-        first, last = body.chain.forward(joints, [hinges[0], hinges[-1]])[:, :3, 3]
-        tips = [tip.link for tip in body.jaw_tips] or [len(body.links) - 1]
-        ends = dict(zip(tips, body.ends(joints), strict=True))
-        for link, joint in enumerate(body.link_joints):
-            own, path = links == link, body.chain.path(joint)
-            if hinges[-1] in path:
-                by_wrist[own] = last - first
-                if link in ends:
-                    by_jaws[own] = _stretched(in_root[own], last, ends[link])
-            elif hinges[0] in path:
-                by_wrist[own] = _stretched(in_root[own], first, last)
+    def effect(self, outline: OutlineOfView) -> Float64:
+        """Return the displacements of the outline's points by each of the sizes."""
+        points, camera, body = outline.points, outline.view.camera, outline.view.renderer.body.instrument
+        seen = outline.at.seen_from(outline.view.view.view_from_camera)
+        in_root = apply(body.forward(seen.joints)[points.link], points.points[:, None])[:, 0]
+        placed, by_size = apply(seen.pose, in_root), np.stack(_moves(outline, in_root)) @ seen.pose[:3, :3].T
+        depth = np.maximum(placed[:, 2:], NEAREST)
+        across = (by_size[..., :2] - by_size[..., 2:] * placed[:, :2] / depth) * [camera.fx, camera.fy] / depth
+        return np.asarray((points.normals * across).sum(axis=2).T)
+
+
+def _moves(outline: OutlineOfView, in_root: Float64) -> tuple[Float64, Float64, Float64]:
+    """Return the moves (N, 3), m, by each size of a part, of an outline's points (N, 3) in the root's frame.
+
+    They are zero by one of a part that a point is not on.
+    """
+    body, joints, links = outline.view.renderer.body.instrument, outline.at.joints, outline.points.link
+    by_radius, by_wrist, by_jaws = (np.zeros_like(in_root) for _ in PartSizes.sizes)
+    if (shaft := body.shaft) is not None:
+        sides = outline.view.sides_of_shaft(outline.points, outline.at).any(axis=1)
+        off = in_root[sides] - shaft.point
+        by_radius[sides] = off - (off @ shaft.direction)[:, None] * shaft.direction
+    if not (hinges := body.hinges):
         return by_radius, by_wrist, by_jaws
+    first, last = body.chain.forward(joints, [hinges[0], hinges[-1]])[:, :3, 3]
+    tips = [tip.link for tip in body.jaw_tips] or [len(body.links) - 1]
+    ends = dict(zip(tips, body.ends(joints), strict=True))
+    for link, joint in enumerate(body.link_joints):
+        own, path = links == link, body.chain.path(joint)
+        if hinges[-1] in path:
+            by_wrist[own] = last - first
+            if link in ends:
+                by_jaws[own] = _stretched(in_root[own], last, ends[link])
+        elif hinges[0] in path:
+            by_wrist[own] = _stretched(in_root[own], first, last)
+    return by_radius, by_wrist, by_jaws
 
 
-class WholeSize(Sizes):
-    """The size (1,) of the whole instrument, which is drawn with the one that is estimated."""
+class WholeSize(Sizes, PredictedBlock):
+    """The size (1,) of the whole instrument: a larger one looks as that of the model does, nearer in proportion."""
 
     parameters = ("instrument_size",)
     sizes = ("whole",)
 
-    def __init__(self, config: EstimateConfig, instrument: Instrument, camera: Camera) -> None:
-        super().__init__("size", _WIDE, config.camera.instrument_size_percent / 100, instrument)
+    def __init__(self, config: EstimateConfig, camera: Camera) -> None:
+        super().__init__("size", _WIDE, config.camera.instrument_size_percent / 100)
 
-    def seen(self, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
-        """Return a view of a larger instrument."""
-        return replace(by, scale=by.scale * float(np.exp(values[0])))
+    def change(self, model: SessionModel, calibration: Calibration) -> Float64:
+        """Return the changes of the roots' places to those where the model's instrument looks the same."""
+        nearer = np.expm1(-calibration.values[self.name].item())
+        return np.asarray(nearer * self._from_camera(model, calibration))
 
-    def moves(self, outline: OutlineOfView, in_root: Float64) -> Sequence[Float64]:
-        """Return the moves of the points, which are away from the root."""
-        return (in_root,)
+    def derivative(self, model: SessionModel, calibration: Calibration) -> Float64:
+        """Return the derivative of the changes by the logarithm of the size."""
+        share = np.exp(-calibration.values[self.name].item())
+        return np.asarray(-share * self._from_camera(model, calibration)[:, :, None])
+
+    def _from_camera(self, model: SessionModel, calibration: Calibration) -> Float64:
+        """Return the roots' places (N, 6 + J) from the camera along their own axes, m, and zeros."""
+        pose = model.predict(calibration.alone()).pose
+        own = times(np.swapaxes(pose[:, :3, :3], 1, 2), pose[:, :3, 3])
+        return np.pad(own, ((0, 0), (0, 3 + len(model.names))))
 
 
 def _stretched(points: Float64, start: Float64, end: Float64) -> Float64:

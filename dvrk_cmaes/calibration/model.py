@@ -197,11 +197,12 @@ class SessionModel:
         Changes of the predictions are in each root's axes, m and rad, followed by those of the E unknowns that change
         what is seen.
         """
-        count, further, own = 6 + len(self.names), len(calibration.further), calibration.own
-        out = np.zeros((len(self.outer), count + further, own + further))
+        count, places = 6 + len(self.names), [calibration.place(block.name) for block in calibration.seen]
+        further = np.concatenate([np.zeros(0, np.intp), *(np.r_[place] for place in places)])
+        out = np.zeros((len(self.outer), count + len(further), len(calibration.deviation)))
         for block in calibration.predicted:
             out[:, :count, calibration.place(block.name)] = block.derivative(self, calibration)
-        out[:, count:, own:] = np.eye(further)
+        out[:, count + np.arange(len(further)), further] = 1.0
         return out
 
     @property

@@ -32,7 +32,6 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import CameraConfig, EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.expected_error import PARAMETERS, displacements, file_covariance
 
 CAMERA, LENS = "camera", "lens"
@@ -78,16 +77,14 @@ class CameraChange(CameraErrors):
         Settings, and the camera as its file has it.
     change
         The change (3,) with which the session is solved so far; None where it is not to be changed.
-    wide
-        Whether it has a wide prior instead of the file.
     """
 
     shared = True
     parameters = TESTED
 
-    def __init__(self, config: EstimateConfig, camera: Camera, change: Float64 | None, *, wide: bool) -> None:
+    def __init__(self, config: EstimateConfig, camera: Camera, change: Float64 | None) -> None:
         file = file_deviations(camera, config.camera, TESTED)
-        super().__init__(CAMERA, _WEAK_STD if wide else file, change)
+        super().__init__(CAMERA, _WEAK_STD, change)
         self.known, self.weak, self.used, self._camera = file, _WEAK_STD, change is not None, camera
 
     def is_plausible(self, values: Float64) -> bool:
@@ -100,7 +97,7 @@ class CameraChange(CameraErrors):
 
     def seen(self, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
         """Return a view with the changed camera."""
-        return replace(by, camera=changed(by.camera, values))
+        return replace(by, camera=changed(by.camera, values)) if values.any() else by
 
     def stated(self, alone: Float64, covariance: Float64) -> tuple[FoundBlock, Float64]:
         """State the change with which the session is solved, or what the frames show and the file."""
@@ -115,7 +112,7 @@ class Lens(CameraErrors):
     is_linear = True
     parameters = ("aspect", "radial")
 
-    def __init__(self, config: EstimateConfig, instrument: Instrument, camera: Camera) -> None:
+    def __init__(self, config: EstimateConfig, camera: Camera) -> None:
         super().__init__(LENS, file_deviations(camera, config.camera, self.parameters))
 
     def stated(self, alone: Float64, covariance: Float64) -> tuple[FoundBlock, Float64]:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Final, Self, TypeVar
 
 import numpy as np
 
-from dvrk_cmaes.calibration.frame_fit import FrameFit, OwnEstimate, fit_frame, with_noise
+from dvrk_cmaes.calibration.blocks import SeenBlock, ViewAsSeen
+from dvrk_cmaes.calibration.frame_fit import FitPreset, FrameFit, OwnEstimate, fit_frame, with_noise
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.rig import turned_views
@@ -40,6 +42,9 @@ R = TypeVar("R")
 
 NOT_READ: Final = "no readings of all outer joints (yaw, pitch, insertion, roll)"
 """Why a frame cannot be solved with others."""
+
+SeenAs = tuple[tuple[SeenBlock, Float64], ...]
+"""Blocks that change what the views show, each with its values (n,)."""
 
 Run = Callable[[Callable[[Body, EstimateConfig, T], R], Sequence[T]], list[R]]
 """Applies a function of body, settings and task to all tasks, and returns the values in the tasks' order."""
@@ -156,14 +161,13 @@ class StoredView:
         small = replace(evidence, mask=empty > 0, weight=empty)
         return cls(view.name, small, PackedMask.of(evidence.mask), counts, view.view_from_camera)
 
-    def restored(self, body: Body, camera: Camera | None = None, place: Float64 | None = None) -> FrameView:
-        """Return the view with its images and a renderer; with another camera or ``place`` (4, 4), m, if given."""
+    def restored(self, body: Body, camera: Camera | None = None) -> FrameView:
+        """Return the view with its images and a renderer; with another camera, if given."""
         mask = self.mask.restored()
         counts = np.ones_like(mask) if self.counts is None else self.counts.restored()
         camera = self.evidence.camera if camera is None else camera
         evidence = replace(self.evidence, mask=mask, weight=counts.astype(np.float32), camera=camera)
-        place = self.view_from_camera if place is None else place
-        return FrameView(self.name, evidence, Renderer(body, camera, threads=1), place)
+        return FrameView(self.name, evidence, Renderer(body, camera, threads=1), self.view_from_camera)
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,12 +240,6 @@ def changed(camera: Camera, change: Float64) -> Camera:
     return camera.changed(float(np.exp(change[0])), (right, down))
 
 
-def restored_views(body: Body, stored: StoredFrame, change: Float64 | None = None) -> list[FrameView]:
-    """Restore the evidence of a frame's views, and make their renderers, with changed cameras if there is a change."""
-    none = np.zeros(3) if change is None else change
-    return [view.restored(body, changed(view.evidence.camera, none)) for view in stored.views]
-
-
 def gather_task(
     body: Body, config: EstimateConfig, task: tuple[SessionFrame, Mapping[str, Float64], Float64 | None]
 ) -> StoredFrame:
@@ -263,21 +261,28 @@ def gather_task(
 def fit_task(
     body: Body,
     config: EstimateConfig,
-    task: tuple[StoredFrame, Expected, tuple[Posed, ...], Float64 | None, float],
+    task: tuple[StoredFrame, Expected, tuple[Posed, ...], FitPreset, int | None, SeenAs],
 ) -> FrameFit:
     """Fit a frame to its outline, with the session's prediction as a prior.
 
-    The task is the frame's stored evidence, what is expected of it and the starts, as in `fit_frame`, the change (3,)
-    of all cameras for the fit, as of `changed`, where they are not those of the evidence, and the margin, px, of masks.
+    The task is the frame's stored evidence, what is expected of it, the starts and how the fit is found, as in
+    `fit_frame`, the number of the view that shows the blocks, and these with their values.
     """
-    stored, expected, starts, change, margin = task
-    return fit_frame(restored_views(body, stored, change), config, expected, starts, stored.own, margin=margin)[0]
+    stored, expected, starts, preset, shown, blocks = task
+    views, by = [], ViewAsSeen(stored.camera)
+    for view in stored.views:
+        by = ViewAsSeen(view.evidence.camera)
+        for block, values in blocks:
+            by = block.seen(by, values)
+        views.append(view.restored(body, by.camera))
+    fit = partial(fit_frame, views, config, expected, starts, stored.own, preset=preset)
+    return fit(margin=by.margin, blocks=[block for block, _ in blocks], shown=shown)[0]
 
 
 def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameReport:
     """Make a frame's result, and measure the quality of its leave-one-out prediction."""
     started = time.perf_counter()
-    views = restored_views(body, task.stored)
+    views = [view.restored(body) for view in task.stored.views]
     readings, _, _ = split_readings(body.instrument, task.result.readings, config)
     poses = Posed.stacked([task.predicted, task.fit.at])
     if task.brief:

@@ -3,7 +3,7 @@
 By the frames' own modes `started` finds the endoscope and the lag, and `initialised` the camera_from_base that most
 frames of an arm agree on, in pieces where it moved. `solved` then alternates: each frame is fitted to its outline with
 what the blocks predict as a prior, and the blocks of all arms are estimated from all fits. `checked` tests the camera,
-the instrument's sizes and the masks.
+the instrument's sizes and the masks, by the same fits.
 """
 
 from __future__ import annotations
@@ -24,35 +24,30 @@ from dvrk_cmaes.calibration.consensus import (
     find_consensus_at_any_roll,
 )
 from dvrk_cmaes.calibration.endoscope import Pieces, Place, Steered
-from dvrk_cmaes.calibration.frame_fit import starts_of
+from dvrk_cmaes.calibration.frame_fit import IN_SESSION, WHERE_IT_IS, starts_of
 from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, in_common
 from dvrk_cmaes.calibration.lag_search import find_lag
-from dvrk_cmaes.calibration.linearise import PASSES, linearise, linearised, plausible
-from dvrk_cmaes.calibration.masks_and_sizes import MARGIN, PartSizes, WholeSize, square_left
+from dvrk_cmaes.calibration.masks_and_sizes import MARGIN, square_left
 from dvrk_cmaes.calibration.model import Deviations, SessionModel, ecm_readings, frames_alike, outer_readings
 from dvrk_cmaes.calibration.session_camera import (
     CAMERA,
     IMPLAUSIBLE,
-    Lens,
     camera_undetermined,
     describe_found,
     places_of,
 )
 from dvrk_cmaes.calibration.session_endoscope import LEAST_PIECE, describe_pieces, find_hand_eye, find_pieces
 from dvrk_cmaes.calibration.session_frame import SessionFrame, fit_task, gather_task
-from dvrk_cmaes.calibration.session_problem import LEAST_FRAMES, Arms, ArmSession, ArmSetup, MakeBlock
+from dvrk_cmaes.calibration.session_problem import LEAST_FRAMES, Arms, ArmSession, ArmSetup
 from dvrk_cmaes.calibration.session_rig import turns_of
 from dvrk_cmaes.calibration.solve import Solved, solve_arms, solve_with_modes, solve_with_variances
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.expected_error import file_covariance
 
-TESTED: Final[tuple[MakeBlock, ...]] = (PartSizes, WholeSize, Lens)
-"""What makes the blocks for which every session is tested besides camera and margin."""
-
+_PASSES = 6  # largest number of linearisations of the outlines
 _ROUNDS = 3  # in which frames and blocks are estimated in turn
 _NEAR = 1.0  # standard deviations per parameter, by which fits move to where the last solution expects them
-_HELD = 1e-3  # of the standard deviations of what is known of a camera that is held at its file
 _MOVED_SHARE = 0.1  # of the frames, that agree only if the session is cut where its base moved
 _AGREE: Final = 4.0  # standard deviations of each unknown, within which arms find the same endoscope
 _OTHER_TIP: Final = (
@@ -193,9 +188,8 @@ def solved(arms: Arms) -> Arms:
     for number in range(1, _ROUNDS + 1):
         for arm in arms:
             arm.setup.progress(f"round {number} of {_ROUNDS}", len(arm.frames))
-        last = number == _ROUNDS
-        arms = _estimated([_fitted(arm, last=last) for arm in arms], last=last)
-        if number == _ROUNDS - 1 or (setup.refine_camera and not last):
+        arms = _estimated([_fitted(replace(arm, last=number == _ROUNDS)) for arm in arms])
+        if number == _ROUNDS - 1 or (setup.refine_camera and number < _ROUNDS):
             arms = _with_seen(arms, last=number == _ROUNDS - 1)
     found, out = solve_arms([arm.outlines() for arm in arms]), []
     for arm, own in zip(arms, found, strict=True):
@@ -211,10 +205,10 @@ def _with_evidence(arm: ArmSession) -> ArmSession:
     return replace(arm, stored=tuple(arm.setup.run(gather_task, tasks)))
 
 
-def _fitted(arm: ArmSession, *, last: bool) -> ArmSession:
+def _fitted(arm: ArmSession) -> ArmSession:
     """Fit the frames of an arm in a round, each from its starts.
 
-    A frame without any keeps the linearisation of its outline, whose minimum is its fit in the ``last`` round.
+    A frame without any keeps the linearisation of its outline, whose minimum is its fit in the last round.
     """
     expected = arm.model.priors(arm.calibration)
     agrees = arm.solution.agree.tolist()
@@ -230,16 +224,17 @@ def _fitted(arm: ArmSession, *, last: bool) -> ArmSession:
     each = zip(before, expected, agrees, fits, strict=True)
     starts = [starts_of(at, prior, agrees=clear, fit=fit) for at, prior, clear, fit in each]
     again = [i for i, of_frame in enumerate(starts) if of_frame]
-    tasks = [(arm.stored[i], expected[i], starts[i], arm.change, arm.taken_off) for i in again]
-    found = {i: fit.moved_to(expected[i]) if last else fit for i, fit in enumerate(arm.fits)}
+    preset, shown, blocks = WHERE_IT_IS if arm.seen else IN_SESSION, arm.shown, arm.seen_as
+    tasks = [(arm.stored[i], expected[i], starts[i], preset, shown[i], blocks) for i in again]
+    found = {i: fit.moved_to(expected[i]) if arm.last else fit for i, fit in enumerate(arm.fits)}
     found |= zip(again, arm.setup.run(fit_task, tasks), strict=True)
     return replace(arm, fits=tuple(found[i] for i in range(len(arm.frames))), moved=None)
 
 
-def _estimated(arms: Arms, *, last: bool) -> Arms:
+def _estimated(arms: Arms) -> Arms:
     """Estimate base, offsets, variances and cables of all arms from the current fits that explain their masks.
 
-    Cables must be more likely by a margin in the ``last`` round. `InputError` if too few fits count.
+    Cables must be more likely by a margin in the last round. `InputError` if too few fits count.
     """
     for arm in arms:
         arm.check_agreement()
@@ -247,17 +242,17 @@ def _estimated(arms: Arms, *, last: bool) -> Arms:
     solved = solve_with_variances([arm.outlines() for arm in arms], config)
     arms = [arm.with_solution(own) for arm, own in zip(arms, solved, strict=True)]
     if config.cables:
-        arms = [_with_cables(arm, last=last) for arm in arms]
+        arms = [_with_cables(arm) for arm in arms]
         if any(arm.cables is not None and arm.cables[0].parts for arm in arms):
             solved = solve_with_variances([replace(arm.solution, model=arm.model) for arm in arms], config)
             arms = [arm.with_solution(own) for arm, own in zip(arms, solved, strict=True)]
     return arms
 
 
-def _with_cables(arm: ArmSession, *, last: bool) -> ArmSession:
+def _with_cables(arm: ArmSession) -> ArmSession:
     """Fit what cables do to the readings, besides the blocks: `cables` says why."""
     usual = Deviations.of(arm.setup.config.session, arm.model.names)
-    cables = estimate_cables(arm.solution, arm.lag, usual, last=last)
+    cables = estimate_cables(arm.solution, arm.lag, usual, last=arm.last)
     usual, own = (cables[0].deviations(one) for one in (usual, arm.model.deviations))
     model = replace(arm.model, correction=cables[0].correction, deviations=own, usual=usual)
     return replace(arm, cables=cables, model=model)
@@ -269,22 +264,34 @@ def _with_seen(arms: Arms, *, last: bool) -> Arms:
     Without refinement the file is a measurement of the camera: an estimate of it is not used. `InputError` if the
     camera's estimate is not plausible at ``last``.
     """
-    setup, out = arms[0].setup, list[ArmSession]()
-    estimates = linearise([arm.outlined(wide=setup.refine_camera) for arm in arms])
-    if not plausible(estimates):
+    refine, out = arms[0].setup.refine_camera, list[ArmSession]()
+    estimates = _tested(arms)
+    if not all(own.is_plausible for own in estimates):
         if last:
             raise arms[0].camera_refused(IMPLAUSIBLE)
         return arms
     for arm, own in zip(arms, estimates, strict=True):
-        camera, margin = own.calibration.seen
-        if setup.refine_camera:
+        if refine:
             arm = replace(arm, change=own.value(CAMERA))
         else:
-            found, _ = margin.stated(*estimates[0].shown_of(margin))
-            own = replace(own, calibration=own.with_std({CAMERA: _HELD * camera.known})[0])
-            arm = replace(arm, margin=found)
+            margin = own.calibration.tested[0]
+            arm = replace(arm, margin=margin.stated(*estimates[0].shown_of(margin))[0])
         out.append(arm.with_calibration(own.calibration.alone(), moved=own.at))
     return out
+
+
+def _tested(arms: Arms, passes: int = _PASSES) -> list[Solved]:
+    """Estimate the blocks that are tested with the calibrations of arms.
+
+    Frames are fitted again with the blocks that are found, until these are settled.
+    """
+    for _ in range(passes):
+        found = solve_with_variances([arm.outlined() for arm in arms], arms[0].setup.config.session)
+        if all(own.is_settled for own in found) or not all(own.is_plausible for own in found):
+            break
+        pairs = zip(arms, found, strict=True)
+        arms = [_fitted(arm.with_solution(own, moved=own.at, seen=own.calibration.values)) for arm, own in pairs]
+    return found
 
 
 def checked(arms: Arms) -> Arms:
@@ -308,41 +315,36 @@ def checked(arms: Arms) -> Arms:
 
 
 def _checks(arms: Arms) -> list[BlockCheck]:
-    """Return what the frames of arms that are solved show of camera, margin and the blocks that are tested.
+    """Return what the frames of arms that are solved show of the tested blocks.
 
-    Sizes and margin are estimated with the camera's file as a measurement of it, all others with a wide prior. Where
-    that estimate is not plausible, only what the frames show at the camera of the file is left, which may contradict it
-    or say nothing.
+    Where a camera that is not used is not plausible, only what the frames show at that of the file is left, which may
+    contradict it or say nothing.
     """
     session, refined = arms[0].setup.config.session, arms[0].change is not None
     reasons = [camera_undetermined(arm.model, _LEAST_TESTED, "test") for arm in arms]
     reason = None if None in reasons else reasons[0]
     if not session.test_camera and not refined:
         reason = _NOT_ASKED
-    wide, passes = [arm.outlined(*TESTED, wide=True) for arm in arms], PASSES if reason is None and not refined else 1
-    begun = [linearised(arm, arm.common) for arm in wide]
-    found = linearise(wide, passes=passes, first=begun)
-    if far := passes > 1 and not plausible(found):
-        found = linearise(wide, passes=1, first=begun)
-    by_file = found
-    if not refined and reason != _NOT_ASKED:
-        by_file = linearise([arm.outlined(*TESTED, wide=False) for arm in arms], first=begun)
-    return [_check(*each, reason, far=far) for each in zip(arms, found, by_file, strict=True)]
+    passes = 1 if refined or reason == _NOT_ASKED else _PASSES
+    found = _tested(arms, passes)
+    if far := passes > 1 and not all(own.is_plausible for own in found):
+        found = _tested(arms, passes=1)
+    return [_check(*each, reason, far=far) for each in zip(arms, found, strict=True)]
 
 
-def _check(arm: ArmSession, there: Solved, near: Solved, reason: str | None, *, far: bool) -> BlockCheck:
-    """Judge the estimates of an arm with a wide prior of the camera, and ``near`` its file.
+def _check(arm: ArmSession, solved: Solved, reason: str | None, *, far: bool) -> BlockCheck:
+    """Judge the estimates of an arm.
 
     ``reason`` is why the camera is not tested, ``far`` whether its estimate was not plausible.
     """
     config, blocks = arm.setup.config, dict[str, FoundBlock]()
     errors, covariance = file_covariance(arm.camera, config.camera), np.zeros((arm.calibration.own,) * 2)
-    for block in there.calibration.seen:
-        alone, spread = (there if block.is_alike else near).shown_of(block)
+    for block in solved.calibration.tested:
+        alone, spread = solved.shown_of(block)
         found, left = block.stated(alone, config.session.shared_errors**2 * spread if block.is_alike else spread)
         if block.name == MARGIN and arm.margin is not None:
             found, left = arm.margin, square_left(arm.margin)
-        moves, of_errors = near.moved_by(block), np.ix_(*[places_of(block.parameters)] * 2)
+        moves, of_errors = solved.moved_by(block), np.ix_(*[places_of(block.parameters)] * 2)
         if block.name == CAMERA and (reason or (far and not found.doubt)):
             reason, left = reason or IMPLAUSIBLE, errors[of_errors]
         else:

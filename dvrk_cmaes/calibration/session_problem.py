@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.blocks import BlockCheck, Calibration, FoundBlock, SeenBlock
+from dvrk_cmaes.calibration.blocks import BlockCheck, Calibration, FoundBlock, SeenBlock, TestedBlock
 from dvrk_cmaes.calibration.cables import CableFit
 from dvrk_cmaes.calibration.consensus import ArmModes
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.lag import SessionLag
-from dvrk_cmaes.calibration.masks_and_sizes import MaskMargin, taken_off
+from dvrk_cmaes.calibration.masks_and_sizes import MaskMargin, PartSizes, WholeSize, taken_off
 from dvrk_cmaes.calibration.model import CommonErrors, SessionModel
-from dvrk_cmaes.calibration.session_camera import CameraChange
-from dvrk_cmaes.calibration.session_frame import Run, SessionFrame, StoredFrame
+from dvrk_cmaes.calibration.session_camera import CameraChange, Lens
+from dvrk_cmaes.calibration.session_frame import Run, SeenAs, SessionFrame, StoredFrame
 from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, Solved
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
@@ -36,8 +36,8 @@ _MOST_NAMED = 4
 _TO_TRY = "try another --instrument, --tool or --arm, other readings, or the lag of all rows of the recording"
 
 
-MakeBlock = Callable[[EstimateConfig, Instrument, Camera], SeenBlock]
-"""Makes a block by settings, the instrument and the camera of the outlines, as its file has it."""
+TESTED: Final[tuple[Callable[[EstimateConfig, Camera], TestedBlock], ...]] = (PartSizes, WholeSize, Lens)
+"""What makes the tested blocks besides camera and margin, by settings and the camera of the outlines."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +70,9 @@ class ArmSession(ArmModes):
     ``frames`` are the N frames in use, and ``model`` is the model of their readings, with what the lag takes out of
     these; ``cables`` are the fits of what cables do to readings, None before the first. ``stored`` is
     the frames' evidence and ``fits`` are their current fits, both empty before the first round. ``found`` is the
-    current solution, None before the first one; ``moved`` (N) are the poses from which the next round starts, where a
-    camera or a margin was estimated since.
+    current solution, None before the first one; ``moved`` (N) are the poses from which the next fits start, where
+    blocks that are tested were estimated since, and ``seen`` the values of these where they are not those in use;
+    ``last`` is whether the fits are those of the last round.
 
     ``change`` (3,) is that of the camera, as of `session_frame.changed`, None where the camera's file is used; ``rig``
     what the further views differ in from the file; ``margin`` states that of the masks, ``check`` what is found of all
@@ -93,6 +94,8 @@ class ArmSession(ArmModes):
     fits: tuple[FrameFit, ...] = ()
     found: Solved | None = None
     moved: Posed | None = None
+    seen: Mapping[str, Float64] = field(default_factory=dict)
+    last: bool = False
     remarks: tuple[str, ...] = ()
     undetermined: tuple[str, ...] = ()
     left_out: Mapping[str, str] = field(default_factory=dict)
@@ -183,38 +186,53 @@ class ArmSession(ArmModes):
 
     def outlines(self, *, keep_all: bool = False) -> ArmFrames:
         """Return the current fits; without the outlines that do not explain the mask, unless ``keep_all``."""
-        fits = [fit if fit.explains_mask or keep_all else fit.without_outline() for fit in self.fits]
-        outlines = Quadratic(np.array([fit.information for fit in fits]), np.array([fit.slope for fit in fits]))
-        return ArmFrames(self.model, FrameFits(self.at, outlines, self.common), self.calibration)
+        outlines = Quadratic(*(np.array([getattr(fit, one) for fit in self.fits]) for one in ("information", "slope")))
+        counts = np.array([fit.explains_mask or keep_all for fit in self.fits], np.float64)
+        return ArmFrames(self.model, FrameFits(self.at, outlines.times(counts), self.common), self.calibration)
 
     @property
     def shown(self) -> list[int | None]:
-        """Number of the one view in which each frame's outline shows the blocks; None if its fit does not explain it.
+        """Number of the one view in which each frame's outline shows the blocks; None where it does not.
 
         The view is that of the reference camera; another one if that does not show the instrument in any frame.
         """
         first = [stored.views[0] for stored in self.stored]  # that of the reference camera, where it shows it
         name = next((view.name for view in first if np.array_equal(view.view_from_camera, np.eye(4))), first[0].name)
-        pairs = zip(self.fits, self.stored, strict=True)
-        return [stored.number_of(name) if fit.explains_mask else None for fit, stored in pairs]
+        return [stored.number_of(name) for stored in self.stored]
 
     @property
     def camera(self) -> Camera:
         """The camera of the first frame in that view, as its file has it."""
         return self.stored[0].views[self.shown[0] or 0].evidence.camera
 
-    def outlined(self, *tested: MakeBlock, wide: bool) -> ArmSession:
-        """Return the arm with the blocks of what is seen: camera, margin and others.
+    @property
+    def tested(self) -> tuple[TestedBlock, ...]:
+        """The blocks that are tested, which begin with the values in use: the margin, and the camera if it is changed.
 
-        ``tested`` make the other blocks; ``wide`` is whether the camera has a wide prior instead of that of its file.
+        All others are tested from the last round on.
         """
         config, camera = self.setup.config, self.camera
-        blocks = (
-            CameraChange(config, camera, self.change, wide=wide),
-            MaskMargin(camera.pixel_scale, self.taken_off, used=self.change is None),
-            *(make(config, self.setup.instrument, camera) for make in tested),
-        )
-        return self.with_calibration(self.calibration.with_blocks(*blocks))
+        margin, change = MaskMargin(camera.pixel_scale, self.taken_off, used=self.change is None), self.change
+        others = (CameraChange(config, camera, change), *(make(config, camera) for make in TESTED if self.last))
+        return margin, *(others if self.last or change is not None else ())
+
+    @property
+    def seen_as(self) -> SeenAs:
+        """The tested blocks that change what the views show, with their values in the fits."""
+        blocks = [block for block in self.tested if isinstance(block, SeenBlock)]
+        return tuple((one, one.start if one.is_linear else self.seen.get(one.name, one.start)) for one in blocks)
+
+    def outlined(self) -> ArmFrames:
+        """Return the current fits as functions of the tested blocks, too.
+
+        They are those of one view; a frame without it, or that does not explain its mask, does not count.
+        """
+        values = {block.name: value for block, value in self.seen_as}
+        size = 6 + self.at.joints.shape[1] + sum(len(value) for value in values.values())
+        none = Quadratic.zero(1, size)
+        terms = Quadratic.joined([fit.seen if fit.seen and fit.explains_mask else none for fit in self.fits])
+        calibration = self.calibration.alone().with_blocks(*self.tested, **self.seen)
+        return ArmFrames(self.model, FrameFits(self.at, terms, self.common, values), calibration)
 
     @property
     def disagreements(self) -> list[str]:

@@ -20,7 +20,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from dvrk_cmaes.calibration.blocks import Calibration, SeenBlock
+from dvrk_cmaes.calibration.blocks import Calibration, TestedBlock
 from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, ArmModes, choose_modes
 from dvrk_cmaes.calibration.model import CommonErrors, Deviations, SessionModel, frames_alike
 from dvrk_cmaes.config import SessionConfig
@@ -31,6 +31,7 @@ from dvrk_cmaes.pose.terms.term import Quadratic
 _ROBUST = 2.0
 """Scale of the Geman-McClure weights, in expected errors: a frame's weight is 1 up to one and 0.4 at two."""
 
+_SETTLED = 0.25  # standard deviations of the blocks, below which the outlines are not linearised again
 _MOST_STEPS = 30  # of an estimation; where weights of outliers fall, it converges slowly
 
 _MODE_ITERATIONS = 5  # largest number of alternations between choosing the frames' modes and solving
@@ -197,39 +198,47 @@ class Solved(ArmFrames):
         """
         return self.whole.covariance_of(inverse_information(self.whole.information))[self._place]
 
-    def with_std(self, changed: Mapping[str, Float64]) -> tuple[Calibration, Float64]:
-        """Return the calibration if priors of blocks that are seen had other standard deviations, and its covariance.
-
-        ``changed`` are these (n,), by block.
-        """
-        calibration, more = self.calibration, np.zeros(len(self._place[1]))
-        for name, std in changed.items():
-            place = calibration.place(name)
-            more[place] = std**-2.0 - np.diag(calibration.information)[place]
-        wider = np.zeros_like(self.whole.information)
-        wider[self._place] = np.diag(more)  # of the priors, whose errors are as independent as those of frames
-        whole = replace(self.whole, independent=self.whole.independent + wider)
-        inverse = inverse_information(self.whole.information + wider)
-        step = -inverse[self._place] @ (more * calibration.deviation)
-        return calibration.changed(step), whole.covariance_of(inverse)[self._place]
-
     def value(self, name: str) -> Float64:
         """Return the values (n,) of a block of numbers."""
         return np.asarray(self.calibration.values[name])
 
-    def shown_of(self, block: SeenBlock) -> tuple[Float64, Float64]:
+    @property
+    def is_plausible(self) -> bool:
+        """Whether the blocks are near enough to where the outlines are linearised."""
+        return all(block.is_plausible(self.value(block.name)) for block in self.calibration.tested)
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the blocks are where the outlines are linearised."""
+        std, places = np.sqrt(np.diag(self.covariance)), self.calibration.place
+        return all(
+            (
+                np.abs(self.value(one.name) - self.fits.seen[one.name])
+                < _SETTLED * np.hypot(std[places(one.name)], one.least_std)
+            ).all()
+            for one in self.calibration.seen
+            if not one.is_linear
+        )
+
+    def shown_of(self, block: TestedBlock) -> tuple[Float64, Float64]:
         """Return what the frames show of a block without its prior, where others have theirs: (n,) and (n, n).
 
         These are its values, and their covariance.
         """
-        seen = self.calibration.seen
-        stds = {one.name: one.weak if one.name == block.name else one.known for one in seen}
-        calibration, covariance = self.with_std(stds)
+        calibration, more = self.calibration, np.zeros(len(self._place[1]))
+        for one in calibration.tested:
+            place, std = calibration.place(one.name), one.weak if one.name == block.name else one.known
+            more[place] = std**-2.0 - np.diag(calibration.information)[place]
+        wider = np.zeros_like(self.whole.information)
+        wider[self._place] = np.diag(more)  # of the priors, whose errors are as independent as those of frames
+        inverse = inverse_information(self.whole.information + wider)
+        values = calibration.changed(-inverse[self._place] @ (more * calibration.deviation)).values[block.name]
+        whole = replace(self.whole, independent=self.whole.independent + wider)
         place = calibration.place(block.name)
-        return np.asarray(calibration.values[block.name]), covariance[place, place]
+        return np.asarray(values), whole.covariance_of(inverse)[self._place][place, place]
 
-    def moved_by(self, block: SeenBlock) -> Float64:
-        """Return by how much the calibration is off per unit of a block, (L, n), L unknowns that are predicted."""
+    def moved_by(self, block: TestedBlock) -> Float64:
+        """Return by how much the calibration is off per unit of a block, (L, n), L unknowns that are not tested."""
         own, place = slice(0, self.calibration.own), self.calibration.place(block.name)
         return inverse_information(self.information[own, own]) @ self.information[own, place]
 

@@ -122,6 +122,12 @@ class Coverage(OutlineTerm[DrawnCoverage]):
             noise=self.noise if noise is None else noise,
         )
 
+    def of_view(self, number: int) -> Coverage:
+        """Return the term of one view alone, with the variance that is known of all."""
+        view, contour = self.views[number], sum(one.length for one in self.views)
+        alone = Coverage([view], self._config, correlations=[self._correlations[number]], cauchy=self._width)
+        return alone if self.noise is None else alone.changed(noise=self.noise * view.length / contour)
+
     def noise_at(self, at: Posed) -> float:
         """Return the sum of squares at one pose, with the width of scores."""
         return sum(self._losses(self.draw(Posed.stacked([at]), derivatives=None)[0], final=True))
@@ -212,15 +218,6 @@ class Coverage(OutlineTerm[DrawnCoverage]):
                 len(self.views),
             )
         )
-
-
-def of_camera(view: SizedView, outline: OutlinePoints) -> Float64:
-    """Return the displacements (N, 3) of an outline's points by a change of the camera, times the normals' lengths.
-
-    The unknowns are the logarithm of the factor of `Camera.changed` and its shift, px of the image at the view's size.
-    """
-    from_centre = outline.pixels - [view.camera.cx, view.camera.cy]
-    return np.column_stack([(outline.normals * from_centre).sum(axis=1), outline.normals])
 
 
 def of_margin(outline: OutlinePoints) -> Float64:

@@ -41,6 +41,10 @@ class Quadratic(Approximation):
         """Return that of the term near each pose times a factor, (C,)."""
         return Quadratic(factors[:, None, None] * self.information, factors[:, None] * self.slope)
 
+    def moved_by(self, change: Float64) -> Quadratic:
+        """Return the same about where one pose is after a change (K,) of its first unknowns."""
+        return replace(self, slope=self.slope + self.information[:, :, : len(change)] @ change)
+
     @property
     def dimension(self) -> int:
         """Number D of small changes."""
