@@ -25,7 +25,7 @@ from dvrk_cmaes.cli.options import (
 )
 from dvrk_cmaes.cli.terminal import Line, answer, tracked, warn
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.short_text import shown
+from dvrk_cmaes.io.short_text import counted, shown
 
 if TYPE_CHECKING:
     from dvrk_cmaes.geometry import Float64
@@ -344,9 +344,9 @@ def _lag(text: str | None, calibration: Path | None) -> tuple[Lag | None, str]:
 
 def _lines(summary: ImportSummary) -> Iterator[Line]:
     """Yield the lines of an import: images, notes, and distances in time of the readings used."""
-    width, height = summary.size
     if summary.frames:
-        yield Line(f"{summary.frames} frames of {summary.images} images, {width} x {height}", "bold")
+        sizes = f"{counted(summary.images, 'image')}, {summary.size[0]} x {summary.size[1]}"
+        yield Line(f"{counted(summary.frames, 'frame')} of {sizes}", "bold")
     for note in summary.notes:
         yield Line(f"  {note}")
     for source in summary.readings:
