@@ -139,7 +139,8 @@ class RecordingFiles:
     episode
         Number of the episode of a LeRobot data set.
     camera
-        Camera file. Required for a video; for other recordings it replaces their own.
+        Camera file, or none, for `calibrate` to find the camera. Required for a video; for other recordings it replaces
+        their own.
     joints
         File of readings with times, e.g. CSV with a column time (s). Required for a video; for other recordings it
         replaces their own.

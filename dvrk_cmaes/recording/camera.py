@@ -26,11 +26,19 @@ from dvrk_cmaes.io.files import read_bytes, read_text
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.io.yaml_file import yaml_text
 
+NO_CAMERA: Final = Path("none")
+"""What is given as a camera file where there is none."""
+
+WITHOUT: Final = "without a calibration: --camera none, then `dvrk-cmaes calibrate` (`dvrk-cmaes help uncalibrated`)"
+"""What to do where there is no camera file."""
+
 _LARGEST = 1_000_000  # bytes
 
 
 def read_camera_bytes(path: Path) -> bytes:
-    """Read the bytes of a camera file, unchanged; InputError if it is not a camera file."""
+    """Read the bytes of a camera file, unchanged, none of `NO_CAMERA`; InputError if it is not a camera file."""
+    if path == NO_CAMERA:
+        return b""
     read_camera_file(path)
     return read_bytes(path, expected="a camera file", largest=_LARGEST)
 

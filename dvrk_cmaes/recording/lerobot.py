@@ -24,7 +24,7 @@ from dvrk_cmaes.io.parquet_file import read_columns
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
 from dvrk_cmaes.joints.names import ARM_ORDER, joint_reading, joints_of_arm
-from dvrk_cmaes.recording.camera import read_camera_bytes
+from dvrk_cmaes.recording.camera import WITHOUT, read_camera_bytes
 from dvrk_cmaes.recording.pose_table import POSE, joints_of_poses, poses_of
 from dvrk_cmaes.recording.recording import Asked, Recording
 from dvrk_cmaes.recording.video import images_of
@@ -61,7 +61,7 @@ def open_lerobot(path: Path, asked: Asked) -> Recording:
     """
     camera, episode = asked.camera, asked.episode
     if camera is None:
-        raise InputError(f"{path}: --camera: expected a camera file, for these data sets have none; got none")
+        raise InputError(f"{path}: --camera: expected a camera file, which these data sets lack, got none; {WITHOUT}")
     file = path / "meta" / "info.json"
     info = read_json_object(file, expected="a LeRobot data set's info.json")
     key = _video_key(file, info, asked.eye)

@@ -138,7 +138,7 @@ class Recording:
     total
         Number of images stated by the recording; None if it is not stated.
     camera
-        Bytes of a camera file; empty for a recording of readings alone.
+        Bytes of a camera file; empty without one, as of a recording of readings alone.
     arms
         By the name of the arm, "" for one that is not named: a time series for each source, e.g. one topic of the arm
         and one of the jaw.
@@ -167,6 +167,11 @@ class Recording:
     rectified: bool = False
     names: tuple[str, ...] = ()
     masks: Path | None = None
+
+    @property
+    def pictured(self) -> bool:
+        """Whether it has images."""
+        return self.total != 0
 
     def name(self, number: int) -> str:
         """Return the name in a session of the image of a number."""

@@ -83,7 +83,7 @@ def choose_camera(path: Path, types: Mapping[str, str], asked: Asked, image: str
     """Choose the topic of the camera of images; arguments and errors as of `choose_image`."""
     camera_info = camera_info_of(image)
     requested = asked.camera_topic or (camera_info if types.get(camera_info) == CAMERA_INFO else None)
-    return _one(path, types, requested, "--camera-topic", (CAMERA_INFO,), "the camera (or --camera FILE)")
+    return _one(path, types, requested, "--camera-topic", (CAMERA_INFO,), "the camera (or --camera FILE, or none)")
 
 
 def choose_joints(path: Path, types: Mapping[str, str], asked: Asked, arm: str | None) -> list[str]:

@@ -16,14 +16,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.camera.files import Side, read_camera_file
+from dvrk_cmaes.camera.files import Side, guessed_camera, read_camera_file
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.session_folder import UNCALIBRATED
 from dvrk_cmaes.frames.video_frames import SUFFIXES, Video, Window, part_of
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
-from dvrk_cmaes.recording.camera import read_camera_bytes
+from dvrk_cmaes.recording.camera import WITHOUT, read_camera_bytes
 from dvrk_cmaes.recording.messages import encode_png
 from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording
 
@@ -50,14 +49,14 @@ def open_video(path: Path, asked: Asked) -> Recording:
     camera = asked.camera
     if camera is None or asked.joints is None:
         missing = ["--camera"] * (camera is None) + ["--joints"] * (asked.joints is None)
-        advice = f"; {UNCALIBRATED}" if camera is None else ""
+        advice = f"; {WITHOUT}" if camera is None else ""
         needed = "a video needs a camera file and a table of readings"
         raise InputError(f"{path}: {', '.join(missing)}: {needed}; got none{advice}")
     lens, asked = read_camera_bytes(camera), asked.read()
     readings, said = asked.given_readings()
     video = Video(path, _EXPECTED)
-    seen_by = read_camera_file(camera, side=asked.eye, size=video.size).camera
-    window = video.window(seen_by, asked.layout, asked.eye, asked.crop)
+    seen_by = read_camera_file(camera, side=asked.eye, size=video.size) if lens else guessed_camera(video.size)
+    window = video.window(seen_by.camera, asked.layout, asked.eye, asked.crop)
     notes = [
         f"camera: {camera}",
         *said,

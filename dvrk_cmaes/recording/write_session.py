@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
@@ -23,7 +24,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.coco_mask import FILES, frames_of
 from dvrk_cmaes.frames.images import THRESHOLD, match_size
 from dvrk_cmaes.frames.paired_names import counted_apart, with_names_of
-from dvrk_cmaes.frames.session_folder import image_files, read_session
+from dvrk_cmaes.frames.session_folder import UNCALIBRATED, image_files, read_session
 from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, session_toml
 from dvrk_cmaes.frames.video_frames import Video
 from dvrk_cmaes.io.csv_file import csv_text
@@ -119,15 +120,15 @@ def write_session(
     tools, summaries, said = list[ToolEntry](), list[InterpolationSummary](), list[str]()
     warnings: tuple[str, ...] = ()
     names, times, size, apart, numbers = list[str](), list[int](), (0, 0), list[int](), count()
-    seconds = 0.0 if lag is None or not recording.camera else lag.in_unit("s")
+    seconds = 0.0 if lag is None or not recording.pictured else lag.in_unit("s")
     if abs(seconds) > LARGEST_SECONDS:
         raise InputError(f"lag: expected at most {LARGEST_SECONDS:g} s in magnitude, got {seconds:g} s")
-    if (masks := recording.masks) is not None and (recording.right is not None or not recording.camera):
+    if (masks := recording.masks) is not None and (recording.right is not None or not recording.pictured):
         raise InputError(f"{masks}: --masks: expected a recording with images of one eye")
     with whole_folder(out, "import", overwrite=overwrite, source=recording.path) as folder:
         for name, data in recording.kept.items():
             write_bytes(folder / name, data)
-        if recording.camera:
+        if recording.pictured:
             images = (image for image, _ in zip(recording.images, numbers, strict=False))
             of, times, size, apart = _write_images(folder / "images", recording, _selected(images, every, start, end))
             names = [recording.name(number) for number in of]
@@ -136,6 +137,7 @@ def write_session(
             cells = zip(names, map(_seconds_text, times), strict=True)
             write_text(folder / "images.csv", csv_text(("frame", "time"), cells))
             cameras = _write_cameras(folder, recording)
+            said += [] if recording.camera else [UNCALIBRATED.replace("FOLDER", shlex.quote(str(out)))]
         for number, (name, readings) in enumerate(recording.arms.items()):
             file, arm = f"joints_{name}.csv" if name else "joints.csv", name or _arm_of(readings)
             at = times if names or not readings else readings[0].times.tolist()
@@ -150,7 +152,7 @@ def write_session(
             if arm is not None:
                 tools.append(ToolEntry(arm, label=(number + 1,), joints=Path(file)) if name else ToolEntry(arm))
             if names:  # raises InputError if the folder is not a valid session
-                session = read_session(folder, joints=[folder / file])
+                session = read_session(folder, joints=[folder / file], focal=None if recording.camera else "usual")
         if names:
             try:
                 match_size(session.camera, size[::-1], "image")
@@ -210,6 +212,8 @@ def _arm_of(readings: Sequence[TimedReadings]) -> str | None:
 
 def _write_cameras(folder: Path, recording: Recording) -> CameraEntry:
     """Write the camera files, and return them as entries of session.toml."""
+    if not recording.camera:
+        return CameraEntry()
     if recording.right is None or recording.camera == recording.right.camera:  # in this case a file of both eyes
         write_bytes(folder / "camera.yaml", recording.camera)
         return CameraEntry(file=Path("camera.yaml"), rectified=recording.rectified)

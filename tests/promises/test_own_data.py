@@ -105,8 +105,13 @@ def test_masks_of_no_image_and_a_video_alone_are_refused_with_all_that_is_missin
     assert "m: expected masks of the frames 0000, 0001" in run(*video, "--masks", tmp_path / "m").refusal
     refusal = run("import", tmp_path / "v.avi", "--out", tmp_path / "out").refusal
     assert "--camera, --joints: a video needs" in refusal
-    assert "dvrk-cmaes help uncalibrated" in refusal
+    assert "--camera none, then `dvrk-cmaes calibrate` (`dvrk-cmaes help uncalibrated`)" in refusal
     assert not (tmp_path / "out").exists()
+    words = [*video[:3], "none", *video[4:]]
+    assert f"without a calibration: `dvrk-cmaes calibrate {tmp_path / 'out'}`" in run(*words).out
+    assert not (tmp_path / "out" / "camera.yaml").exists()
+    assert len(read_session(tmp_path / "out", focal="usual").frames) == FRAMES
+    assert "camera.yaml: no such file" in run("batch", tmp_path / "out").refusal
 
 
 def test_plain_picture_is_a_session_without_readings(tmp_path: Path, quick: Path) -> None:

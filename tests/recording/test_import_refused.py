@@ -87,13 +87,13 @@ def with_image(message: Message) -> list[Message]:
         (
             without("CameraInfo"),
             (),
-            "--camera-topic: expected a topic of the camera (or --camera FILE) (sensor_msgs/CameraInfo), "
+            "--camera-topic: expected a topic of the camera (or --camera FILE, or none) (sensor_msgs/CameraInfo), "
             "got /PSM1/jaw/measured_js, /PSM1/measured_js, /left/image_raw",
         ),
         (
             [*without("CameraInfo"), camera_info(BEGIN, "/a/camera_info"), camera_info(BEGIN, "/b/camera_info")],
             (),
-            "--camera-topic: expected one topic of the camera (or --camera FILE), got several: "
+            "--camera-topic: expected one topic of the camera (or --camera FILE, or none), got several: "
             "/a/camera_info, /b/camera_info",
         ),
         (
