@@ -284,17 +284,18 @@ def _lens(
     """
     named = said.file or said.left
     path = named or next((root / name for name in _CAMERAS if os.path.lexists(root / name)), root / _CAMERAS[0])
-    if frames[0].others:
+    if any(frame.others for frame in frames):
         if focal not in (None, "usual"):
             raise InputError(
                 f"{root}: expected the camera files of both eyes (--camera FILE), which are not guessed, got none"
             )
-        if named is None and said.right is None and os.path.lexists(root / "left.yaml"):
-            said = replace(said, left=root / "left.yaml", right=root / "right.yaml")
-        eyes = said.left or path, said.right
-        check_own(root, eyes)
-        first = frames[0] if frames[0].mask or frames[0].image else frames[0].others[_VIEWS[1]]
-        return read_rig(*eyes, rectified=said.rectified, size=lambda: first.size), False
+        right = said.right
+        if named is None and right is None and os.path.lexists(root / "left.yaml"):
+            path, right = root / "left.yaml", root / "right.yaml"
+        check_own(root, (path, right))
+        parts = (part for frame in frames for part in (frame, *frame.others.values()))
+        first = next((part for part in parts if part.mask or part.has_image), frames[0])
+        return read_rig(path, right, rectified=said.rectified, size=lambda: first.size), False
     if said.right is not None:
         raise InputError(
             f"{root}: expected a stereo session (masks/left) with a right camera, got one of a single view"
