@@ -76,10 +76,8 @@ def segment(
     import cv2
 
     from dvrk_cmaes.cli.session_tools import pictures_at
-    from dvrk_cmaes.frames.frame import FrameFiles
     from dvrk_cmaes.frames.session_folder import find_images
     from dvrk_cmaes.io.output import whole_folder
-    from dvrk_cmaes.results.folder import check_output
     from dvrk_cmaes.runs.backgrounds import with_backgrounds
     from dvrk_cmaes.segment.segmentation import Hints
     from dvrk_cmaes.silhouette.prepare import prepare
@@ -94,13 +92,10 @@ def segment(
         raise InputError(f"{source}: expected images (PNG or JPEG), got none")
     names = {frame.rpartition("/")[2] for frame in images}
     arm = None if single or model.model != "classic" else _with_readings(folder, names, body, threads)
-    known = {} if arm is None else {files.name: files for files in arm.session.frames}
-    pictures, views = dict[str, FrameFiles](), dict[str, list[FrameFiles]]()
-    for frame, path in images.items():
-        view, _, name = frame.rpartition("/")
-        check_output(out, name)
-        pictures[frame] = replace(known.get(name, FrameFiles(name, None)), image=path, others={})
-        views.setdefault(view, []).append(pictures[frame])
+    pictures = _pictures(images, arm, out)
+    views: dict[str, list[FrameFiles]] = {}
+    for frame, files in pictures.items():
+        views.setdefault(frame.rpartition("/")[0], []).append(files)
     settings = with_backgrounds(model.resolve(), views)
     with whole_folder(out, "segment", overwrite=True, kept=("masks", "overlays")) as temporary:
         for text in settings.notes:
@@ -150,6 +145,19 @@ def _with_readings(folder: Path, names: set[str], body: Body, threads: int) -> A
         return None
     method = FrameMethod("classic", EstimateConfig(threads=threads))
     return ArmInSession(replace(session, frames=frames), body, method)
+
+
+def _pictures(images: Mapping[str, Path], arm: ArmInSession | None, out: Path) -> dict[str, FrameFiles]:
+    """Return the files of each image, with what an arm's session says of it; InputError for a name as no output has."""
+    from dvrk_cmaes.frames.frame import FrameFiles
+    from dvrk_cmaes.results.folder import check_output
+
+    known, pictures = {} if arm is None else {files.name: files for files in arm.session.frames}, {}
+    for frame, path in images.items():
+        name = frame.rpartition("/")[2]
+        check_output(out, name)
+        pictures[frame] = replace(known.get(name, FrameFiles(name, None)), image=path, others={})
+    return pictures
 
 
 def _expected(arm: ArmInSession, settings: SegmentSettings, found: Path) -> dict[str, Result | None]:

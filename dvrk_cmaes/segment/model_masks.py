@@ -124,14 +124,7 @@ def segment_by_model(
 
     @cache
     def by_colours() -> Segmentation:
-        other = otherwise()
-        if prompts.given and other.mask.mean() > _LARGEST_BY_PROMPT:
-            return nothing_found(image.shape)
-        if other.confidence < GUESS or any(_overlap(each, other.mask) > _ALIKE for each in candidates):
-            return other
-        if body.instrument.shaft is not None and pair_of_mask(other.mask, camera, body.instrument.shaft.radius):
-            return other
-        return replace(other, confidence=_UNLIKE, notes=(*other.notes, "its shape is not the instrument's"))
+        return _judged(otherwise(), candidates, prompts, body, camera)
 
     if not found:
         last, best = by_colours(), next((each for each in candidates if _fits(each, prompts, image)), None)
@@ -170,6 +163,19 @@ def segment_by_model(
     confidence = min(first.confidence, _UNDECIDED) if joints else first.confidence
     notes = *first.notes, _taken(first.mask, [each.mask for each in others])
     return replace(first, confidence=confidence, notes=notes, others=tuple(others))
+
+
+def _judged(
+    other: Segmentation, candidates: Sequence[Candidate], prompts: Prompts, body: Body, camera: Camera
+) -> Segmentation:
+    """Return a mask by other means, as a guess where nothing is like an instrument; none that fills the picture."""
+    if prompts.given and other.mask.mean() > _LARGEST_BY_PROMPT:
+        return nothing_found(other.mask.shape)
+    if other.confidence < GUESS or any(_overlap(each, other.mask) > _ALIKE for each in candidates):
+        return other
+    if body.instrument.shaft is not None and pair_of_mask(other.mask, camera, body.instrument.shaft.radius):
+        return other
+    return replace(other, confidence=_UNLIKE, notes=(*other.notes, "its shape is not the instrument's"))
 
 
 def _overlap(found: Candidate, mask: Bool) -> float:
