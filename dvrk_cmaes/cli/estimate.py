@@ -244,9 +244,9 @@ def estimate(
     if given.mask is None and data.image is not None and looks_like_mask(data.image):
         warn(f"{given.image}: it looks like a mask: give it by --mask")
     body = instrument.load()
+    known = calibrated.read(body, instrument.arm)
     if not given.joints:
         note(f"no --joints, as with --joints none: {TWIN}")
-    known = calibrated.read(body, instrument.arm)
     lag = None if known is None else known.applied_lag
     readings, notes, _ = given.readings(body.instrument.joint_names, lag)
     files = replace(files, readings=readings, prompts=segment.hints())

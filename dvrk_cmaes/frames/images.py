@@ -262,11 +262,10 @@ def _read_grey(path: str | Path, what: str) -> NDArray[np.uint8]:
         return pixels
     grey = pixels[:, :, 0]
     if any(not np.array_equal(grey, pixels[:, :, k]) for k in range(1, min(pixels.shape[2], 3))):
-        few = looks_like_mask(np.ascontiguousarray(pixels[:, :, :3]))
-        kind = f"the colours {named(pixels[:, :, :3])}" if few else "a colour image"
-        kind = "an image with a palette" if header.palette else kind
+        labels = header.palette or looks_like_mask(np.ascontiguousarray(pixels[:, :, :3]))
+        kind = f"the colours {named(pixels[:, :, :3])}" if labels else "a colour image (--image takes one)"
         hint = ", of labels by --label 1 or '#00ff00' (of a session: label of a [[tool]] in session.toml)"
-        hint = hint if what == "a mask" else ""
+        hint = hint if labels and what == "a mask" else ""
         raise InputError(f"{path}: expected {what} in grey{hint}, got {kind}")
     if pixels.shape[2] == 4 and pixels[:, :, 3].min() < 255:
         raise InputError(f"{path}: expected {what} in grey, got an image with transparency: save it without")
