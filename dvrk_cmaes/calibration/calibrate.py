@@ -102,7 +102,8 @@ def calibrate_session(
         Whether to estimate focal length and principal point with the base, and to solve the session with them. Their
         prior is wide, 30 % and 300 px. By default they are only compared with those of the frames' camera.
     lag
-        The lag of the images behind the readings that is taken out, zero for none. By default it is looked for.
+        The lag of the images behind the readings that is taken out, zero for none. By default it is looked for in
+        readings that move smoothly from row to row.
     config
         All settings; those of the calibration are in ``config.session``.
     run
