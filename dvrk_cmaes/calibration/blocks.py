@@ -182,11 +182,13 @@ class TestedBlock(Block, ABC):
 class SeenBlock(TestedBlock):
     """A block that changes what the views show."""
 
-    is_linear: ClassVar[bool] = False
-    """Whether the outlines are always linearised where the unknowns are zero."""
+    @property
+    def is_linear(self) -> bool:
+        """Whether the outlines are always linearised where the unknowns are zero, as no value changes how views see."""
+        return type(self).seen is SeenBlock.seen
 
     def seen(self, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
-        """Return how a view sees with the values (n,); as it is for a linear block.
+        """Return how a view sees with the values (n,); by default as it does with any, as the effect is linear.
 
         Raises
         ------

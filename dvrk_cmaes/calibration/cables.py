@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -305,21 +305,10 @@ class SessionCables(Document):
         if fits is None or not fits[0].parts:
             return None
         fit, alone = fits
-        return cls(
-            parts=fit.parts,
-            gain=rounded(fit.gain),
-            joints=fit.names,
-            reference=_row(fit.reference),
-            coupling=_table(fit.coupling),
-            coupling_std=_table(fit.coupling_std),
-            play=_table(fit.play),
-            play_std=_table(fit.play_std),
-            wander=_row(fit.wander),
-            noise=_row(fit.noise),
-            alone=CablesAlone(
-                _row(alone.offset), _table(alone.coupling), _table(alone.coupling_std), _row(alone.noise)
-            ),
-        )
+        names = "reference", "coupling", "coupling_std", "play", "play_std", "wander", "noise"
+        same: dict[str, Any] = {name: _rounded(getattr(fit, name)) for name in names}
+        errors = (_rounded(one) for one in (alone.offset, alone.coupling, alone.coupling_std, alone.noise))
+        return cls(fit.parts, rounded(fit.gain), fit.names, **same, alone=CablesAlone(*errors))
 
     def check(self, where: str, joints: Sequence[str]) -> None:
         """Raise an InputError, whose message begins with ``where``, for other joints or other numbers of numbers."""
@@ -375,9 +364,6 @@ def _clear(values: Float64, std: Float64, usual: Float64, least: Float64 | float
     return np.argwhere((np.abs(values) > np.maximum(_CERTAIN * std, least)) & (std <= _DETERMINED * usual)).tolist()
 
 
-def _row(values: Float64) -> Row:
-    return tuple(rounded_array(values))
-
-
-def _table(values: Float64) -> Table:
-    return tuple(_row(row) for row in values)
+def _rounded(values: Float64) -> Any:
+    """Return values (C,) or (C, C) as a row or table of rounded numbers."""
+    return tuple(rounded_array(values) if values.ndim == 1 else map(_rounded, values))

@@ -119,8 +119,7 @@ def calibrate_session(
     """
     for frame in frames:
         check_type("frames", frame, SessionFrame, "SessionFrames")
-    settings = config or EstimateConfig()
-    body = instrument if isinstance(instrument, Body) else prepare(instrument)
+    settings, body = config or EstimateConfig(), instrument if isinstance(instrument, Body) else prepare(instrument)
     run = run or partial(in_threads, body, settings)
     setup = ArmSetup(series, body.instrument, arm, settings, run, progress, refine_camera, lag=lag)
     return solved_alone(begin_arm(frames, setup))[0]

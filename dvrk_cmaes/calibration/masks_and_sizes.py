@@ -164,7 +164,6 @@ class Sizes(TestedBlock):
 class PartSizes(Sizes, SeenBlock):
     """Sizes of the instrument's parts: the shaft's radius, the length from the wrist's to the jaws' axis, the jaws'."""
 
-    is_linear = True
     sizes = ("radius", "wrist", "jaws")
 
     def __init__(self, config: EstimateConfig, camera: Camera) -> None:

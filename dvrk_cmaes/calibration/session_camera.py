@@ -109,7 +109,6 @@ class CameraChange(CameraErrors):
 class Lens(CameraErrors):
     """The errors (2,) of a camera file: of log (fy / fx), and of the first radial coefficient."""
 
-    is_linear = True
     parameters = ("aspect", "radial")
 
     def __init__(self, config: EstimateConfig, camera: Camera) -> None:
