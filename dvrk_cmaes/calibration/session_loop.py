@@ -384,14 +384,13 @@ def predict_from_first(
     endoscope, lag, series = arm.model.endoscope, arm.lag.applied, setup.series
     if arm.solution.agree.mean() < _LEAST_AGREEING or isinstance(endoscope, Pieces):
         return {}
+    agree = {frame.name for frame, agrees in zip(arm.frames, arm.solution.agree.tolist(), strict=True) if agrees}
     readings = {
         name: own if lag is None or series is None or name not in series.frames else series.of_frame(name, lag)
         for name, own in others.items()
+        if name not in agree
     }
-    agree = {frame.name for frame, agrees in zip(arm.frames, arm.solution.agree.tolist(), strict=True) if agrees}
-    readings = {
-        name: own for name, own in readings.items() if name not in agree and not np.isnan(outer_readings([own])).any()
-    }
+    readings = {name: own for name, own in readings.items() if not np.isnan(outer_readings([own])).any()}
     if not readings:
         return {}
     read = [*readings.values()]

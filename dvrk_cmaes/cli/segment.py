@@ -166,7 +166,7 @@ def _expected(arm: ArmInSession, settings: SegmentSettings, found: Path) -> dict
 
     again = expected_by_masks(replace(arm, method=replace(arm.method, segment=settings)), found)
     if again:
-        note(f"{len(again)} images are looked at again, where the others expect the instrument")
+        note(f"images looked at again, where the others expect the instrument: {len(again)}")
     return {files.name: files.start for files in again}
 
 

@@ -20,7 +20,7 @@ from dvrk_cmaes.geometry import Bool, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm, check_arm, find_camera_from_base
 from dvrk_cmaes.io.arguments import check_type
-from dvrk_cmaes.joints.prior import split_readings
+from dvrk_cmaes.joints.prior import Readings, split_readings
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.pose.expected_error import locate_tips
 from dvrk_cmaes.pose.find_pose import FoundPose, find_pose
@@ -159,7 +159,7 @@ def estimate_views(
     if start is not None:
         check_type("start", start, Result, "a Result")
     body = prepare(instrument)
-    decimated = decimated_body(body, settings.search.detail_m)
+    bodies = body, decimated_body(body, settings.search.detail_m)
     started = perf_counter()
     model, given = body.instrument, {} if joints is None else joints
     if session is not None:
@@ -167,7 +167,7 @@ def estimate_views(
     reference, shown = seen[0], shown_views(seen)
     readings, unused, outside = split_readings(model, given, settings)
     given = {name: float(value) for name, value in given.items()}
-    views = _frame_views(shown, body, settings)
+    views: Sequence[FrameView] = _frame_views(shown, body, settings)
     predicted = None
     if session is not None and shown[0] is reference:
         from dvrk_cmaes.calibration.prediction import fit_session_pose
@@ -178,15 +178,7 @@ def estimate_views(
         found, source, arm = predicted, "session", session.arm
         base = found.camera_from_base
     else:
-        modes = () if start is None else _modes(start, shown[0], model)
-        found, source = find_pose(views, decimated, readings, settings, modes), "frame"
-        if (free := _without_held(shown, views, found, body, settings)) is not None:
-            views, names = free, model.joint_names
-            modes = [PoseCandidate(found.at, 0.0)]
-            modes += [PoseCandidate(posed(other, names), float(k)) for k, other in enumerate(found.alternatives, 1)]
-            found = find_pose(views, decimated, readings, settings, modes)
-            found = replace(found, notes=(*found.notes, HELD))
-        found = _in_camera(found, shown[0])
+        found, views, source = *_searched(shown, views, bodies, readings, settings, start), "frame"
         base = find_camera_from_base(found.at.pose, given, arm, roll_offset=model.roll_offset)
     tips, tips_px = locate_tips(model, reference.camera, found.at)
     of_cameras = remarks_on_cameras(seen)
@@ -229,6 +221,31 @@ def estimate_views(
     from dvrk_cmaes.calibration.session_doubts import resting_on
 
     return resting_on(result, session)
+
+
+def _searched(
+    seen: Sequence[SeenView],
+    views: Sequence[FrameView],
+    bodies: tuple[Body, Body],
+    readings: Readings,
+    settings: EstimateConfig,
+    start: Result | None,
+) -> tuple[FoundPose, Sequence[FrameView]]:
+    """Search a frame for the pose, or refine the modes of its ``start``; again without what the jaws hold, if they do.
+
+    ``bodies`` are that of full detail and the decimated one. Returns the pose in the rig's reference camera, and the
+    views by which it was found.
+    """
+    (body, decimated), model = bodies, bodies[0].instrument
+    modes = () if start is None else _modes(start, seen[0], model)
+    found = find_pose(views, decimated, readings, settings, modes)
+    if (free := _without_held(seen, views, found, body, settings)) is not None:
+        views = free
+        modes = [PoseCandidate(found.at, 0.0)]
+        modes += [PoseCandidate(posed(mode, model.joint_names), k) for k, mode in enumerate(found.alternatives, 1)]
+        found = find_pose(views, decimated, readings, settings, modes)
+        found = replace(found, notes=(*found.notes, HELD))
+    return _in_camera(found, seen[0]), views
 
 
 def _modes(start: Result, view: SeenView, model: Instrument) -> list[PoseCandidate]:

@@ -204,7 +204,7 @@ def _look_again(out: Path, arm: ArmInSession, workers: Workers) -> bool:
     again, found = expected_elsewhere(arm, read_results(out, summary=False).frames), 0
     if not again:
         return True
-    workers.notice(f"{len(again)} images are looked at again, where the others expect the instrument")
+    workers.notice(f"images looked at again, where the others expect the instrument: {len(again)}")
     for name in results_of([files.name for files in again], arm.session.rig.names):
         remove(out / name)  # if the batch ends before it has others, it is resumed with these frames
     for outcome in outcomes(arm, again, workers):
