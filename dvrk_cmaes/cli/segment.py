@@ -77,7 +77,7 @@ def segment(
 
     from dvrk_cmaes.cli.session_tools import pictures_at
     from dvrk_cmaes.frames.session_folder import find_images
-    from dvrk_cmaes.io.output import whole_folder
+    from dvrk_cmaes.io.output import remove, whole_folder
     from dvrk_cmaes.runs.backgrounds import with_backgrounds
     from dvrk_cmaes.segment.segmentation import Hints
     from dvrk_cmaes.silhouette.prepare import prepare
@@ -112,7 +112,7 @@ def segment(
                 found.setdefault(frame, {"status": "failed", "reason": str(error)})
                 return
             for path in {*written.get(frame, {}).values()} - {*paths.values()}:
-                (temporary / path).unlink()
+                remove(temporary / path)
             written[frame], found[frame] = paths, now | {kind: str(out / path) for kind, path in paths.items()}
 
         for frame, files in pictures.items():

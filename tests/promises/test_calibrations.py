@@ -11,7 +11,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from helpers.shared_estimates import short_searches
 
 from dvrk_cmaes import InputError, estimate, read_calibration, read_frame, read_session
 from promises.program import DEMO, EASY, EYES, QUICK, TOOLS, Kept, Ran, run
@@ -56,11 +55,11 @@ def test_frames_solved_together_are_within_their_stated_errors(kept: Kept) -> No
         assert one["iou"] > 0.85, frame
 
 
-def test_frames_solved_together_are_nearer_to_the_truth_than_alone(kept: Kept) -> None:
+def test_frames_solved_together_are_nearer_to_the_truth_than_alone(kept: Kept, request: pytest.FixtureRequest) -> None:
     easy, tools = kept.synth(*EASY), kept.synth(*TOOLS)
     worlds = [(easy, "", kept("calibrate", easy).folder)]
-    with short_searches():
-        worlds += [(tools, arm, kept("calibrate", tools).folder / arm) for arm in ("PSM1", "PSM2")]
+    request.getfixturevalue("search_short")  # from here on, as in other tests of the two arms
+    worlds += [(tools, arm, kept("calibrate", tools).folder / arm) for arm in ("PSM1", "PSM2")]
 
     def error(of: str) -> float:
         squares = [
