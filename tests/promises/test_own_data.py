@@ -114,14 +114,17 @@ def test_masks_of_no_image_and_a_video_alone_are_refused_with_all_that_is_missin
     assert "camera.yaml: no such file" in run("batch", tmp_path / "out").refusal
 
 
-def test_plain_picture_is_a_session_without_readings(tmp_path: Path, quick: Path) -> None:
+@pytest.mark.parametrize("given", ["", "0003.jpg", "*.jpg"])
+def test_plain_pictures_are_a_session_without_readings(tmp_path: Path, quick: Path, given: str) -> None:
     picture = cv2.imread(str(DEMO / "images" / "0003.jpg"))
     cv2.imwrite(str(tmp_path / "0003.jpg"), cv2.resize(picture, (320, 240), interpolation=cv2.INTER_AREA))
     words = ("--camera", DEMO / "camera.yaml", "--config", quick, "--workers", 1)
-    ran = run("batch", tmp_path, *words, "--out", tmp_path / "out")
+    ran = run("batch", tmp_path / given, *words, "--out", tmp_path / "out")
     assert ran.code == 3
     assert "no joints.csv, as with --joints none" in ran.err
     assert [path.stem for path in (tmp_path / "out" / "frames").iterdir()] == ["0003"]
+    assert run("segment", tmp_path / given, "--out", tmp_path / "found").code in (0, 3)
+    assert [path.name for path in (tmp_path / "found" / "masks").iterdir()] == ["0003.png"]
 
 
 def test_missing_or_superfluous_words_are_refused_with_what_to_do(tmp_path: Path) -> None:
