@@ -22,7 +22,7 @@ from dvrk_cmaes.geometry import Float64, Posed, adjoint, inverse
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, assess, refine
 from dvrk_cmaes.pose.refine.information import ALL, Selection, eliminate, information_of_views
-from dvrk_cmaes.pose.search.starts import PoseCandidate, best_per_mode, twin_of
+from dvrk_cmaes.pose.search.starts import PoseCandidate, best_per_mode, is_twin, twin_of
 from dvrk_cmaes.pose.terms.coverage import CorrelatedContour, Coverage, contour_errors, has_correlated_noise
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_locals
@@ -124,11 +124,15 @@ class LocalSearch:
         best = min(modes, key=lambda mode: mode.score)
         noises = [view.noise_at(best.at) for view in self._views]
         coverage = finest.changed(correlations=[noise.length for noise in noises])
-        # Modes that are clearly worse, by score and by outline score, are not refined again, only scored.
+        # Modes that are clearly worse, by score and by outline score, are not refined again, only scored. The twin of
+        # the best is: its minimum is near the mirror image only, which by an exact mask may be clearly worse.
+        instrument = self._decimated.instrument
         close = [
             mode
             for mode in modes
-            if mode.score < best.score + _CLEARLY_WORSE or mode.outline_score < best.outline_score + _CLEARLY_WORSE / 3
+            if mode.score < best.score + _CLEARLY_WORSE
+            or mode.outline_score < best.outline_score + _CLEARLY_WORSE / 3
+            or (instrument.has_twin and is_twin(instrument, best.at, mode.at))
         ]
         far = [mode.at for mode in modes if mode not in close]
         rest = assess(coverage, self._terms, Posed.stacked(far)) if far else []
