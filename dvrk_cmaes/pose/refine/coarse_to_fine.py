@@ -125,14 +125,19 @@ class LocalSearch:
         noises = [view.noise_at(best.at) for view in self._views]
         coverage = finest.changed(correlations=[noise.length for noise in noises])
         # Modes that are clearly worse, by score and by outline score, are not refined again, only scored. The twin of
-        # the best is: its minimum is near the mirror image only, which by an exact mask may be clearly worse.
-        instrument = self._decimated.instrument
+        # the best is, unless the readings decide: its minimum is near the mirror image only, which by an exact mask may
+        # be clearly worse.
+        instrument, by_readings = self._decimated.instrument, best.score - best.outline_score + _CLEARLY_WORSE
         close = [
             mode
             for mode in modes
             if mode.score < best.score + _CLEARLY_WORSE
             or mode.outline_score < best.outline_score + _CLEARLY_WORSE / 3
-            or (instrument.has_twin and is_twin(instrument, best.at, mode.at))
+            or (
+                instrument.has_twin
+                and mode.score - mode.outline_score < by_readings
+                and is_twin(instrument, best.at, mode.at)
+            )
         ]
         far = [mode.at for mode in modes if mode not in close]
         rest = assess(coverage, self._terms, Posed.stacked(far)) if far else []
