@@ -212,7 +212,7 @@ def begin_solution(
     """Estimate the keyframes of a recording alone and solve them together; a text says why that is not possible.
 
     A calibration that is ``given`` is used instead. Unless the recording is followed ``by_masks``, masks are found in
-    its images, and determine the colours; ``notice`` is told of a background that these show. Finish it by
+    its images, and determine the colours; ``notice`` is called with what is said of a background. Finish it by
     `solved_together` or `solved_alone`. Raises InputError for a file that is wrong.
     """
     if not by_masks:

@@ -114,7 +114,7 @@ class LocalSearch:
         finest = self._coverage(1)
         final = self._refine(finest, modes, _FULL, _FULL_STEPS)
         if instrument.has_twin:
-            # A twin's outline is as good as that of the mode: these iterations would hardly move it.
+            # A twin's outline is nearly as good as that of the mode: only that of the best is refined, in `_finish`.
             twins = twin_of(instrument, Posed.stacked([mode.at for mode in final]))
             final += assess(finest, self._terms, twins)
         return self._finish(finest, final)
