@@ -209,8 +209,9 @@ class StoredFrame:
             hidden = [part for part in (view.ignore, shadows) if part is not None]
             ignore = np.logical_or.reduce(hidden) if hidden else None
             one = FrameView.of(view, body, ignore, tips, seed=config.seed, features=features)
-            if features and view.ignore is None and (held := held_in(one, own)) is not None:
-                one = FrameView.of(view, body, held, tips, seed=config.seed)
+            if features and (held := held_in(one, own)) is not None:
+                hidden.append(held)
+                one = FrameView.of(view, body, np.logical_or.reduce(hidden), tips, seed=config.seed)
             views.append(one)
         return cls.of_views(views, data.camera, with_noise(OwnEstimate.of(views, own), views, config))
 
