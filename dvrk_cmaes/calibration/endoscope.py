@@ -9,7 +9,8 @@ errors of its readings at each place where it stands; without readings, of the p
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
 
@@ -60,33 +61,10 @@ class EndoscopeValues:
     Of an endoscope whose arm is read, the only pose is the camera in its tip. The numbers are the offsets of the ECM's
     joints (4,), then what is added to its readings at P places but the reference (P, 4): true = reading + offset +
     error, rad and m. Of one that is not read, the poses are the reference camera in that of each other piece.
-    ``expected`` (Q, 4, 4) are the prior means of the poses, ``std`` (M,) the prior standard deviations of all.
     """
 
     poses: Float64
-    expected: Float64
     numbers: Float64
-    std: Float64
-
-    @classmethod
-    def read(cls, tip_from_camera: Float64, expected: Float64, offsets: Float64, errors: Float64) -> EndoscopeValues:
-        """Return the values of an endoscope whose arm is read: (4, 4), (4, 4), (4,) and (P, 4)."""
-        std = np.concatenate([HAND_EYE_STD, OFFSET_STD, np.tile(PLACE_STD, len(errors))])
-        return cls(tip_from_camera[None], expected[None], np.concatenate([offsets, errors.ravel()]), std)
-
-    @classmethod
-    def of_pieces(cls, cameras: Float64) -> EndoscopeValues:
-        """Return the values of an endoscope that is not read, with the reference camera in pieces (P, 4, 4)."""
-        return cls(cameras, cameras, np.zeros(0), np.tile(_PIECE_STD, len(cameras)))
-
-    @property
-    def information(self) -> Float64:
-        """Information matrix (M, M) of the prior. The errors at all places have that of the reference in them."""
-        information, places = np.diag(self.std**-2.0), len(self.errors) if len(self.numbers) else 0
-        if places:
-            alike = 2 * (np.eye(places) - 1 / (places + 1))  # the inverse of (1 + identity) / 2
-            information[10:, 10:] = np.kron(alike, np.diag(PLACE_STD**-2.0))
-        return information
 
     @property
     def tip_from_camera(self) -> Float64:
@@ -100,54 +78,48 @@ class EndoscopeValues:
 
     @property
     def errors(self) -> Float64:
-        """What is added to the readings (P, 4) at P places but the reference, rad and m."""
-        return self.numbers[4:].reshape(-1, 4)
-
-    @property
-    def deviation(self) -> Float64:
-        """Differences (M,) from the prior means, of poses along and about the axes that they are in."""
-        turns = times(in_tip(self.expected), change_between(self.expected, self.poses))
-        return np.concatenate([turns.ravel(), self.numbers])
-
-    def changed(self, step: Float64) -> EndoscopeValues:
-        """Return the values after a step (M,)."""
-        count = 6 * len(self.poses)
-        turned = moved(self.poses, times(in_tip(self.poses).swapaxes(1, 2), step[:count].reshape(-1, 6)))
-        return replace(self, poses=turned, numbers=self.numbers + step[count:])
-
-
-@dataclass(frozen=True, eq=False)
-class _Moving:
-    """Where the endoscope is in each of N frames, as a function of the values of M unknowns.
-
-    ``start`` are the values from which an estimation starts, ``loose`` (M,) their standard deviations. ``shared`` is
-    whether the arms of a session have it in common.
-    """
-
-    start: EndoscopeValues
-    loose: Float64
-    shared: bool = field(default=False, kw_only=True)
-
-    @property
-    def block(self) -> EndoscopeBlock:
-        """The block of the M unknowns."""
-        return EndoscopeBlock(self.start, shared=self.shared)
+        """What is added to the readings (P + 1, 4) at the reference, where it is zero, and at P other places."""
+        return np.append(np.zeros(4), self.numbers[4:]).reshape(-1, 4)
 
 
 class EndoscopeBlock(PredictedBlock):
-    """The unknowns of an endoscope that moves."""
+    """The M unknowns of an endoscope that moves.
 
-    def __init__(self, start: EndoscopeValues, *, shared: bool) -> None:
-        super().__init__(ENDOSCOPE, start.std)
-        self.information, self.shared = start.information, shared
+    ``expected`` (Q, 4, 4) are the prior means of the poses, of whose changes along and about the axes that they are in
+    ``std`` (M,) are the first standard deviations; numbers are expected to be zero.
+    """
+
+    def __init__(self, expected: Float64, std: Float64) -> None:
+        super().__init__(ENDOSCOPE, std)
+        self.expected = expected
+
+    @classmethod
+    def read(cls, expected: Float64, places: int) -> EndoscopeBlock:
+        """Return the block of an endoscope whose arm is read, with the prior mean (4, 4) of the camera in its tip.
+
+        The errors at all ``places`` but the reference have that of the reference in them.
+        """
+        found = cls(expected[None], np.concatenate([HAND_EYE_STD, OFFSET_STD, np.tile(PLACE_STD, places - 1)]))
+        alike = 2 * (np.eye(places - 1) - 1 / places)  # the inverse of (1 + identity) / 2
+        found.information[10:, 10:] = np.kron(alike, np.diag(PLACE_STD**-2.0))
+        return found
+
+    def in_common(self) -> EndoscopeBlock:
+        """Return the same as a block that the arms of a session share."""
+        found = copy(self)
+        found.shared = True
+        return found
 
     def deviation(self, value: Any) -> Float64:
         """Return the differences from the prior means."""
-        return np.asarray(value.deviation)
+        turns = times(in_tip(self.expected), change_between(self.expected, value.poses))
+        return np.concatenate([turns.ravel(), value.numbers])
 
-    def changed(self, value: Any, step: Float64) -> Any:
+    def changed(self, value: Any, step: Float64) -> EndoscopeValues:
         """Return the values after a step."""
-        return value.changed(step)
+        count = 6 * len(value.poses)
+        turned = moved(value.poses, times(in_tip(value.poses).swapaxes(1, 2), step[:count].reshape(-1, 6)))
+        return EndoscopeValues(turned, value.numbers + step[count:])
 
     def derivative(self, model: SessionModel, calibration: Calibration) -> Float64:
         """Return the changes of the roots' poses by that of the camera."""
@@ -157,6 +129,18 @@ class EndoscopeBlock(PredictedBlock):
         out = np.zeros((len(model.outer), 6 + len(model.names), len(self.std)))
         out[:, :6] = adjoint(inverse(model.base_from_root(calibration.offsets))) @ moves
         return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Moving:
+    """Where the endoscope is in each of N frames, as a function of the values of the M unknowns of a ``block``.
+
+    ``start`` are the values from which an estimation starts, ``loose`` (M,) their standard deviations.
+    """
+
+    block: EndoscopeBlock
+    start: EndoscopeValues
+    loose: Float64
 
 
 Row = tuple[Number, ...]
@@ -201,8 +185,8 @@ class Steered(_Moving):
             away = (np.abs(read - places[0].readings) > np.maximum(places[0].within, _NOISE)).any(axis=1)
             if np.convolve(away, np.ones(_STANDS), "valid").max(initial=0.0) != _STANDS:  # single ones are noise
                 return None
-        start = EndoscopeValues.read(STRAIGHT, STRAIGHT, np.zeros(4), np.zeros((len(places) - 1, 4)))
-        return cls(start, start.std, read, places)
+        block = EndoscopeBlock.read(STRAIGHT, len(places))
+        return cls(block, EndoscopeValues(STRAIGHT[None], np.zeros(4 * len(places))), block.std, read, places)
 
     @cached_property
     def _away(self) -> Float64:
@@ -223,8 +207,7 @@ class Steered(_Moving):
         """Compute the tip (N, 4, 4) in the frame of the ECM in each frame, m, and its Jacobian (N, 6, 4)."""
         readings, nearest = np.array([one.readings for one in self.places]), self._away.argmin(axis=1)
         read = np.where(self.place[:, None] >= 0, readings[nearest], self.read)
-        errors = np.concatenate([np.zeros((1, 4)), values.errors])[nearest]
-        return ecm_from_tip_and_jacobian(read + errors + values.offsets)
+        return ecm_from_tip_and_jacobian(read + values.errors[nearest] + values.offsets)
 
     def _reference_tip(self, values: EndoscopeValues) -> tuple[Float64, Float64]:
         """Compute the tip (4, 4) at the reference place, m, and its Jacobian (6, 4)."""
@@ -257,7 +240,7 @@ class Steered(_Moving):
         first = self._reference_tip(values)[1]
         base_from_camera = inverse(camera_from_base)
         to_base = adjoint(base_from_camera)
-        out = np.zeros((len(self.read), 6, len(values.deviation)))
+        out = np.zeros((len(self.read), 6, len(self.block.std)))
         out[:, :, :6] = (to_base - adjoint(own)) @ in_tip(values.tip_from_camera).T
         out[:, :, 6:10] = of_joints + to_base @ adjoint(inverse(values.tip_from_camera)) @ first
         for number in range(1, len(self.places)):
@@ -284,15 +267,15 @@ class Steered(_Moving):
 
         The turn is known to half of the distance between these.
         """
-        loose = self.start.std.copy()
+        loose = self.block.std.copy()
         loose[5] = (_TURNS[1] - _TURNS[0]) / 2
         poses = [
             STRAIGHT @ transform(rotation_about_z(turn) @ exp_rotation([tilt, 0.0, 0.0]), np.zeros(3))
             for tilt in _TILTS
             for turn in _TURNS
         ]
-        starts = [replace(self.start, poses=pose[None], expected=pose[None]) for pose in poses]
-        return [replace(self, start=start, loose=loose) for start in starts]
+        each = [(EndoscopeBlock.read(pose, len(self.places)), replace(self.start, poses=pose[None])) for pose in poses]
+        return [replace(self, block=block, start=start, loose=loose) for block, start in each]
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,8 +290,8 @@ class Pieces(_Moving):
     @classmethod
     def of(cls, piece: Indices, cameras: Float64) -> Pieces:
         """Return the endoscope of frames in pieces, with the reference camera in those of the others (P, 4, 4), m."""
-        start = EndoscopeValues.of_pieces(cameras)
-        return cls(start, 0.1 * start.std, piece)
+        std = np.tile(_PIECE_STD, len(cameras))
+        return cls(EndoscopeBlock(cameras, std), EndoscopeValues(cameras, np.zeros(0)), 0.1 * std, piece)
 
     def relative(self, values: EndoscopeValues) -> Float64:
         """Compute the reference camera's pose (N, 4, 4) in each frame's camera, m."""
@@ -316,7 +299,7 @@ class Pieces(_Moving):
 
     def jacobian(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:
         """Compute the changes (N, 6, M) of each frame's camera_from_base by the unknowns."""
-        out = np.zeros((len(self.place), 6, len(values.deviation)))
+        out = np.zeros((len(self.place), 6, len(self.block.std)))
         to_base = adjoint(inverse(camera_from_base)) @ in_tip(values.poses).swapaxes(1, 2)
         for number, of_piece in enumerate(to_base, start=1):
             out[self.place == number, :, 6 * number - 6 : 6 * number] = of_piece

@@ -17,6 +17,7 @@ from dvrk_cmaes.calibration.consensus import ArmModes, Consensus, agreement, eve
 from dvrk_cmaes.calibration.endoscope import (
     OFFSET_STD,
     Endoscope,
+    EndoscopeBlock,
     EndoscopeValues,
     Pieces,
     Place,
@@ -228,21 +229,20 @@ class SessionEndoscope(Document):
         stands = _stands(model.camera_from_base(calibration), endoscope.place, names, times)
         if not isinstance(endoscope, Steered):
             return cls(stands, covariance=covariance)
-        count = calibration.own - len(values.deviation)
+        count = calibration.place(ENDOSCOPE).start
         jacobian = np.zeros((6, len(covariance)))  # of the arm's base in the ECM's
         jacobian[:, :6] = np.eye(6)
         ecm_from_base, jacobian[:, count : count + 10] = endoscope.ecm_from_base(values, base)
         whole = covariance + arm.checked.covariance
         std = np.sqrt(np.diag(whole))[count:]
-        errors = np.concatenate([np.zeros((1, 4)), values.errors])
         return cls(
             stands,
-            tuple(replace(one, error=_row(error)) for one, error in zip(endoscope.places, errors, strict=True)),
+            tuple(replace(one, error=_row(error)) for one, error in zip(endoscope.places, values.errors, strict=True)),
             values.tip_from_camera,
             ecm_from_base,
             _row(std[:6]),
             _row(np.sqrt(np.diag(jacobian @ whole @ jacobian.T))),
-            values.expected[0],
+            endoscope.block.expected[0],
             dict(zip(ECM_JOINTS, values.offsets.tolist(), strict=True)),
             dict(zip(ECM_JOINTS, std[6:10].tolist(), strict=True)),
             covariance,
@@ -315,15 +315,16 @@ class SessionEndoscope(Document):
                 return f"no reading of {', '.join(ECM_JOINTS)}"
             assert self.tip_from_camera is not None
             assert self.expected is not None
-            errors = np.array([one.error for one in self.places[1:]]).reshape(-1, 4)
-            offsets = np.array([self.offsets[name] for name in ECM_JOINTS])
-            steered = EndoscopeValues.read(self.tip_from_camera, self.expected, offsets, errors)
-            return Steered(steered, steered.std, filled(read), self.places)
+            errors = [one.error for one in self.places[1:]]
+            numbers = np.concatenate([[self.offsets[name] for name in ECM_JOINTS], *errors])
+            block = EndoscopeBlock.read(self.expected, len(self.places))
+            return Steered(
+                block, EndoscopeValues(self.tip_from_camera[None], numbers), block.std, filled(read), self.places
+            )
         of_place = {one.place: one.camera_from_base for one in self.bases}
         moves = [of_place[k] @ inverse(camera_from_base) for k in range(1, self.last_place + 1)]
-        values = EndoscopeValues.of_pieces(np.array(moves).reshape(-1, 4, 4))
         piece = [self.place_at(time, name) for time, name in zip(times, names, strict=True)]
-        return Pieces(values, values.std, np.array(piece, np.intp))
+        return Pieces.of(np.array(piece, np.intp), np.array(moves).reshape(-1, 4, 4))
 
     def place_at(self, time: float | None, name: str) -> int:
         """Return the place of the piece nearest to a time, s, or where no times are known, to a frame's name."""

@@ -155,17 +155,18 @@ def _with_common_endoscope(arms: Arms) -> Arms:
         return arms
     for arm in arms:
         endoscope, theirs = arm.model.endoscope, arm.calibration.endoscope
-        if endoscope is None or theirs is None or len(theirs.deviation) != len(own.deviation):
+        if endoscope is None or theirs is None or len(endoscope.block.std) != len(known.block.std):
             out.append(arm)
             continue
-        apart = np.abs(own.deviation - replace(theirs, expected=own.expected).deviation)
+        apart = np.abs(known.block.deviation(own) - known.block.deviation(theirs))
         of_both = [one.solution.covariance[(one.calibration.place("endoscope"),) * 2] for one in (first, arm)]
         differ, read = apart > _AGREE * np.sqrt(np.diag(sum(of_both))), isinstance(known, Steered)
         if differ[: _HAND_EYE if read else None].any():
             out.append(arm.noted(remarks=[_OTHER_TIP]) if read else arm)
             continue
-        endoscope = replace(endoscope, start=known.start, loose=known.loose, shared=True)
-        arm = arm.with_calibration(arm.calibration.with_blocks(endoscope.block, endoscope=own))
+        shared = known.block.in_common()
+        endoscope = replace(endoscope, block=shared, start=known.start, loose=known.loose)
+        arm = arm.with_calibration(arm.calibration.with_blocks(shared, endoscope=own))
         out.append(replace(arm, model=replace(arm.model, endoscope=endoscope)))
     return out
 
