@@ -158,7 +158,7 @@ class FrameOptions:
 
         if self.joints in ((), (NO_READINGS,)) or self.named is None:
             return {}, (), None
-        read_as = self.reading.read_as(self.only)
+        read_as = replace(self.reading.read_as(self.only), known=tuple(known))
         texts = [text for text in self.joints if is_written_out(text)]
         files = joint_files([Path(text) for text in self.joints if text not in texts], read_as.arm) or ()
         moment = None if self.time is None else parse_time("--time", self.time)
@@ -167,7 +167,6 @@ class FrameOptions:
             frame=self.frame,
             image=self.named.stem,
             time=moment,
-            known=known,
             lag=lag,
             read_as=read_as,
         )

@@ -323,8 +323,7 @@ def _described(
         solver = partial(SolverProcess, body, background=True)
         save = None if folder is None else partial(write_json, folder / SESSION)
         arms.append(ArmSetup(names[arm], body, instrument.kinematics, known, solver, save, settings, method.lag))
-    shown = camera.rectified, output.overlay
-    return LiveSetup(inputs, tuple(arms), rig, *shown, time.time_ns(), lambda: Pool(int, 1).begin())
+    return LiveSetup(inputs, tuple(arms), rig, camera.rectified, output.overlay, lambda: Pool(int, 1).begin())
 
 
 @contextmanager

@@ -17,7 +17,6 @@ from dvrk_cmaes.errors import DvrkCmaesError, InputError
 if TYPE_CHECKING:
     from dvrk_cmaes.camera import Rig
     from dvrk_cmaes.frames.frame import FrameFiles
-    from dvrk_cmaes.results.result import Result
     from dvrk_cmaes.runs.frame import ArmInSession
     from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
     from dvrk_cmaes.silhouette import Body
@@ -78,6 +77,7 @@ def segment(
     from dvrk_cmaes.cli.session_tools import pictures_at
     from dvrk_cmaes.frames.session_folder import find_images
     from dvrk_cmaes.io.output import remove, whole_folder
+    from dvrk_cmaes.runs.agreement import expected_by_masks
     from dvrk_cmaes.runs.backgrounds import with_backgrounds
     from dvrk_cmaes.segment.segmentation import Hints
     from dvrk_cmaes.silhouette.prepare import prepare
@@ -117,10 +117,12 @@ def segment(
 
         for frame, files in pictures.items():
             find(frame, files)
-        starts = {} if arm is None or hints != Hints() else _expected(arm, settings, temporary)
-        for frame, files in pictures.items():
-            if files.name in starts:
-                find(frame, replace(files, start=starts[files.name]))
+        if arm is not None and hints == Hints():
+            arm = replace(arm, method=replace(arm.method, segment=settings))
+            starts = {files.name: files.start for files in expected_by_masks(arm, temporary, note)}
+            for frame, files in pictures.items():
+                if files.name in starts:
+                    find(frame, replace(files, start=starts[files.name]))
     document = {"model": settings.model, "out": str(out), "frames": found}
     answer(document, (line for frame, of_frame in found.items() for line in _lines(frame, of_frame)), json=json)
     return exit_code(of_frame["status"] for of_frame in found.values())
@@ -158,16 +160,6 @@ def _pictures(images: Mapping[str, Path], arm: ArmInSession | None, out: Path) -
         check_output(out, name)
         pictures[frame] = replace(known.get(name, FrameFiles(name, None)), image=path, others={})
     return pictures
-
-
-def _expected(arm: ArmInSession, settings: SegmentSettings, found: Path) -> dict[str, Result | None]:
-    """Return where most frames expect the instrument in those that do not agree with them, by the masks in a folder."""
-    from dvrk_cmaes.runs.agreement import expected_by_masks
-
-    again = expected_by_masks(replace(arm, method=replace(arm.method, segment=settings)), found)
-    if again:
-        note(f"images looked at again, where the others expect the instrument: {len(again)}")
-    return {files.name: files.start for files in again}
 
 
 def segment_file(

@@ -210,7 +210,7 @@ def read_session(
     side
         ``left`` or ``right``: the camera of a file of both eyes.
     known
-        Names of the instrument's joints, as in `read_joint_file`.
+        Names of the instrument's joints, as in `ReadAs`.
     joints
         Files of readings, which may have been read already; by default those in the session folder, which may have
         none. None: no readings are used.
@@ -242,12 +242,13 @@ def read_session(
     masks = masks or tool.masks
     if masks is None and tool.label is not None and (root / "labels").is_dir() and not (root / "masks").exists():
         masks = root / "labels"
-    read_as = replace(read_as, arm=read_as.arm or tool.arm or None, columns=read_as.columns or tool.columns)
+    holder, columns = read_as.arm or tool.arm or None, read_as.columns or tool.columns
+    read_as = replace(read_as, arm=holder, columns=columns, known=(*known, *read_as.known))
     joints = joints if joints is None or joints or tool.joints is None else (tool.joints,)
     mask_folder = masks or next((root / name for name in _MASKS if (root / name).is_dir()), root / _MASKS[0])
     stereo = _is_stereo(root, mask_folder)
     if masks is not None or video is not None or is_session_layout(root) or not is_published_layout(root):
-        frames, readings, times, notes = _session_frames(root, mask_folder, tuple(known), joints, read_as, video)
+        frames, readings, times, notes = _session_frames(root, mask_folder, joints, read_as, video)
         notes = ("a session folder of two views" if stereo else "a session folder", *notes)
     else:
         frames, readings, times = find_published_frames(root), (), {}
@@ -418,7 +419,6 @@ def _with_readings(frame: FrameFiles, files: Sequence[JointFile], time: int | No
 def _session_frames(
     root: Path,
     mask_folder: Path,
-    known: tuple[str, ...],
     joints: Sequence[Path | JointFile] | None,
     read_as: ReadAs,
     video: Video | None,
@@ -428,7 +428,7 @@ def _session_frames(
     masks, images, _ = of_views[0]
     sources = () if joints is None else joints or _joint_files(root)
     check_own(root, (source for source in sources if isinstance(source, Path)))
-    files = [read_joint_file(source, known=known, read_as=read_as) for source in sources]
+    files = [read_joint_file(source, read_as=read_as) for source in sources]
     of_frames = [file.names for file in files if file.labels == "frame"]
     rows = of_frames[0] if len(of_frames) == 1 else {name: 0 for names in of_frames for name in names}
     of_kinds, like = {"masks": masks, "rows of readings": rows}, images or masks

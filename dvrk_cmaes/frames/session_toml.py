@@ -63,8 +63,8 @@ class CameraEntry:
 class ToolEntry:
     """One tool of a session: the arm that holds it, its kinematics and instrument, and its part of the files.
 
-    ``label`` is its part of the masks, of which ``pick`` (u, v) px is on it, or ``masks`` the folder of its own masks;
-    ``joints`` are its readings, whose ``columns`` may be named.
+    ``label`` is its part of the masks, of which ``pick`` (u, v) px is on it, and ``masks`` the folder of masks where
+    that is another one than the session's; ``joints`` are its readings, whose ``columns`` may be named.
     """
 
     arm: str
@@ -163,12 +163,12 @@ def _within(root: Path, entry: Entry) -> Entry:
 def _check_tools(path: Path, tools: tuple[ToolEntry, ...]) -> None:
     """Check that tools can be distinguished; errors as in `read_session_toml`."""
     arms: list[object] = [tool.arm for tool in tools]
-    labels = [(tool.label, tool.pick) for tool in tools if tool.label is not None]
+    labels = [(tool.masks, tool.label, tool.pick) for tool in tools if tool.label is not None]
     for tool in tools:
         check_frame_name(tool.arm)
     for name, values in (("arm", arms), ("label", labels)):
         if len(set(values)) < len(values):
             raise InputError(f"{path}: tool.{name}: expected a different one for each tool, got {values}")
     for tool in tools:
-        if (tool.label is None) == (tool.masks is None) and (len(tools) > 1 or tool.label is not None):
+        if len(tools) > 1 and tool.label is None and tool.masks is None:
             raise InputError(f"{path}: tool {tool.arm}: expected either a label or a folder of masks for each tool")

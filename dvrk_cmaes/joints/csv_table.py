@@ -34,7 +34,7 @@ from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.joint_state import file_of_messages
 from dvrk_cmaes.joints.names import ARM_ORDER, joint_reading, joints_of_arm
-from dvrk_cmaes.joints.rows import NO_TIME, JointFile, JointRow, RowNames
+from dvrk_cmaes.joints.rows import NO_TIME, JointFile, JointRow, ReadAs, RowNames
 from dvrk_cmaes.joints.times import parse_time, parse_times, time_column
 
 _FIELD: Final = re.compile(r"field\.(name|position)(\d+)")
@@ -214,9 +214,7 @@ _POSITION = re.compile(r"position\.\d+")
 _COMMENT = re.compile(r"#\s*(\w+):\s*(\S*)")
 
 
-def read_joint_csv(
-    path: str, text: str, names: Sequence[str], arm: str | None = None, columns: Sequence[str] = ()
-) -> JointFile:
+def read_joint_csv(path: str, text: str, read_as: ReadAs) -> JointFile:
     """Read a CSV of any of these formats, recognised by its header.
 
     Parameters
@@ -225,12 +223,8 @@ def read_joint_csv(
         The file's path, for messages.
     text
         The file's content.
-    names
-        Names of the joints that are accepted.
-    arm
-        The arm whose joints are read of a table with those of several.
-    columns
-        Names of the columns, in place of the header's; ``-`` for one that is not read.
+    read_as
+        How it is read where it does not say it itself.
 
     Raises
     ------
@@ -244,22 +238,20 @@ def read_joint_csv(
         match = _COMMENT.match(line)
         if match is not None:
             comments[match[1].lower()] = match[2]
-    header, rows = usual(*read_csv_rows(path, expected=EXPECTED, text=body, columns=columns))
+    header, rows = usual(*read_csv_rows(path, expected=EXPECTED, text=body, columns=read_as.columns))
     if "timestamp" in header and ("type" in comments or any(_POSITION.fullmatch(name) for name in header)):
-        return _topic_table(path, header, rows, comments, names, arm)
-    return _joint_table(path, header, rows, names, arm, numbered=bool(columns))
+        return _topic_table(path, header, rows, comments, read_as)
+    return _joint_table(path, header, rows, read_as)
 
 
-def _joint_table(
-    path: str, header: list[str], rows: Rows, names: Sequence[str], arm: str | None, *, numbered: bool
-) -> JointFile:
-    """Read a joints.csv, or another table of joints: with frames, times, or, if ``numbered``, neither.
+def _joint_table(path: str, header: list[str], rows: Rows, read_as: ReadAs) -> JointFile:
+    """Read a joints.csv, or another table of joints: with frames, times, or, if its columns are named, neither.
 
     The rows of a table with measured_q1 to measured_q6 are labelled by ``traj_index``, or else by their number.
     """
     time, measured = time_column(path, header), {*_MEASURED} <= {*header}
     key = "traj_index" if measured else "frame"
-    if key not in header and time is None and not measured and not numbered:
+    if key not in header and time is None and not measured and not read_as.columns:
         raise InputError(
             f"{path}: header: expected a column frame or time and columns of joints, got {listed(header)} (rows that "
             "are only counted are read with --columns and the names of the columns)"
@@ -268,7 +260,8 @@ def _joint_table(
     if measured:
         columns = dict(zip(ARM_ORDER, _MEASURED, strict=True))
     else:
-        columns = {name: joints[k] for name, k in joints_of_arm(f"{path}: header", joints, names, arm).items()}
+        places = joints_of_arm(f"{path}: header", joints, read_as.names, read_as.arm)
+        columns = {name: joints[k] for name, k in places.items()}
     times = parse_times(time, [(where, cells[time]) for where, cells in rows]) if time else [None] * len(rows)
     found: dict[str, JointRow] = {}
     for count, ((where, cells), moment) in enumerate(zip(rows, times, strict=True)):
@@ -301,9 +294,7 @@ def _whole_number(where: str, name: str, cell: str) -> str:
     raise InputError(f"{where}: {name}: expected a whole number, got {shown(cell)}")
 
 
-def _topic_table(
-    path: str, header: list[str], rows: Rows, comments: dict[str, str], names: Sequence[str], arm: str | None
-) -> JointFile:
+def _topic_table(path: str, header: list[str], rows: Rows, comments: dict[str, str], read_as: ReadAs) -> JointFile:
     """Read the messages of a topic as data_collection writes them; those without positions are skipped."""
     kind = comments.get("type", "")
     if kind and not kind.endswith("/JointState"):
@@ -319,4 +310,4 @@ def _topic_table(
         time = parse_time(where, stamp, 1 if stamp.isdecimal() else None) if filled else None
         messages.append((where, stated if any(stated) else [], [cells[name] for name in filled], time))
     described = f"JointState topic {comments.get('topic') or ''}".rstrip() + " (data_collection CSV)"
-    return file_of_messages(path, described, messages, names, arm)
+    return file_of_messages(path, described, messages, read_as)

@@ -13,7 +13,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.io.yaml_file import yaml_documents
 from dvrk_cmaes.joints.names import joints_by_count, joints_of_arm, notes_on_messages
-from dvrk_cmaes.joints.rows import JointFile, JointRow
+from dvrk_cmaes.joints.rows import JointFile, JointRow, ReadAs
 from dvrk_cmaes.joints.times import parse_stamp
 
 EXPECTED = "joint readings (JointState messages)"
@@ -22,7 +22,7 @@ POSITION = re.compile(r"^position:", re.MULTILINE)
 """Beginning of a line that every text of printed JointState messages has."""
 
 
-def read_joint_state(path: str, text: str, names: Sequence[str], arm: str | None = None) -> JointFile:
+def read_joint_state(path: str, text: str, read_as: ReadAs) -> JointFile:
     """Read all messages of a file, as `file_of_messages`; arguments and errors as there.
 
     Parameters
@@ -31,7 +31,7 @@ def read_joint_state(path: str, text: str, names: Sequence[str], arm: str | None
         The file's path, for messages.
     text
         The file's content.
-    names, arm
+    read_as
         As of `file_of_messages`.
     """
     messages = []
@@ -47,15 +47,14 @@ def read_joint_state(path: str, text: str, names: Sequence[str], arm: str | None
         header = message.get("header")
         time = parse_stamp(f"{where}: header.stamp", header.get("stamp")) if isinstance(header, Mapping) else None
         messages.append((where, [str(name) for name in stated], values, time))
-    return file_of_messages(path, "JointState messages (YAML)", messages, names, arm)
+    return file_of_messages(path, "JointState messages (YAML)", messages, read_as)
 
 
 def file_of_messages(
     path: str,
     kind: str,
     messages: Sequence[tuple[str, Sequence[str], Sequence[object], int | None]],
-    names: Sequence[str],
-    arm: str | None = None,
+    read_as: ReadAs,
 ) -> JointFile:
     """Return a file of messages, without those that have no positions, as before an arm is up.
 
@@ -67,10 +66,8 @@ def file_of_messages(
         The file's path and the name of its format.
     messages
         The beginning of error messages, the stated names, if any, the positions, and the time, ns, of each.
-    names
-        Names of the joints that are accepted.
-    arm
-        The arm whose joints are read of messages with those of several.
+    read_as
+        Names of the joints that are accepted, and the arm whose are read of messages with those of several.
 
     Raises
     ------
@@ -81,7 +78,7 @@ def file_of_messages(
     for count, (where, stated, values, time) in enumerate(messages):
         if values:
             in_order = [] if stated else joints_by_count(f"{where}: position", len(values))
-            places = joints_of_arm(f"{where}: name", stated or in_order, names, arm)
+            places = joints_of_arm(f"{where}: name", stated or in_order, read_as.names, read_as.arm)
             rows[f"message {count + 1}"] = (where, {name: values[k] for name, k in places.items()}, time)
     skipped = len(messages) - len(rows)
     if not rows:

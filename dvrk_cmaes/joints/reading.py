@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,7 @@ from dvrk_cmaes.joints.csv_table import EXPECTED, LEAST, read_joint_csv, read_pl
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, weighted_mean
 from dvrk_cmaes.joints.joint_state import POSITION, read_joint_state
 from dvrk_cmaes.joints.lag import Lag
-from dvrk_cmaes.joints.names import accepted_names, check_joint, joint_reading, joints_by_count
+from dvrk_cmaes.joints.names import check_joint, joint_reading, joints_by_count
 from dvrk_cmaes.joints.rows import BY_THEMSELVES, JointFile, ReadAs, number_of
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.times import time_in_name
@@ -51,9 +51,7 @@ def read_joint_table(path: str | Path) -> dict[str, dict[str, float]]:
     return {label: file.readings(place) for label, place in file.names.items()}
 
 
-def read_joint_file(
-    text_or_path: str | Path | JointFile, *, known: Iterable[str] = (), read_as: ReadAs = BY_THEMSELVES
-) -> JointFile:
+def read_joint_file(text_or_path: str | Path | JointFile, *, read_as: ReadAs = BY_THEMSELVES) -> JointFile:
     """Read a file of readings whose format is recognised by its content, or readings given as text as one row.
 
     Parameters
@@ -61,8 +59,6 @@ def read_joint_file(
     text_or_path
         ``wrist_pitch=-0.68,wrist_yaw=-0.36,jaw=1.34``, or the path of a file of readings. Text with an equals sign is
         taken for a path only if such a file exists. A file that was read already is returned.
-    known
-        Names of the instrument's joints that are accepted besides the dVRK's.
     read_as
         How files are read that do not say it themselves.
 
@@ -73,25 +69,24 @@ def read_joint_file(
     """
     if isinstance(text_or_path, JointFile):
         return text_or_path
-    names = accepted_names(known)
     if is_written_out(text_or_path):
-        row = ("joints", _written_out(str(text_or_path), names), None)
+        row = ("joints", _written_out(str(text_or_path), read_as.names), None)
         return JointFile.of("joints", "written-out readings", {"": row}, "message")
     path = str(text_or_path)
     data = read_bytes(path, expected=EXPECTED, largest=_LARGEST)
     if data.startswith(MAGIC):
         return read_joint_npy(path, data)
-    if len(data) > LEAST and not read_as.columns and (table := read_plain_table(path, data, names)) is not None:
+    if len(data) > LEAST and not read_as.columns and (table := read_plain_table(path, data, read_as.names)) is not None:
         return table
     text = text_of(path, data, expected=EXPECTED)
     if not POSITION.search(text):
-        return read_joint_csv(path, text, names, read_as.arm, read_as.columns)
+        return read_joint_csv(path, text, read_as)
     if len(data) > _LARGEST_YAML:
         raise InputError(
             f"{path}: expected at most {_LARGEST_YAML / 1e6:g} MB of messages as YAML, got {len(data) / 1e6:.1f} MB: "
             "import a bag instead"
         )
-    return read_joint_state(path, text, names, read_as.arm)
+    return read_joint_state(path, text, read_as)
 
 
 def frame_readings(
@@ -160,7 +155,6 @@ def read_frame_joints(
     frame: str | None,
     image: str,
     time: int | None = None,
-    known: Iterable[str] = (),
     lag: Lag | None = None,
     read_as: ReadAs = BY_THEMSELVES,
 ) -> FrameReadings:
@@ -177,8 +171,6 @@ def read_frame_joints(
         name.
     time
         The image's time, ns; by default the time at the end of the image's name, if any.
-    known
-        As in `read_joint_file`.
     read_as
         How files are read that do not say it themselves.
     lag
@@ -191,7 +183,7 @@ def read_frame_joints(
         As for ``frame_readings``; the frame has no row; there are no readings at its time less the lag.
     """
     name = image if frame is None else frame
-    files = [read_joint_file(source, known=known, read_as=read_as) for source in sources]
+    files = [read_joint_file(source, read_as=read_as) for source in sources]
     if (offset := read_as.offset) is not None:
         files = [own if own.labels == "message" else own.by_number([name], offset, read_as.step) for own in files]
     image_time = time_in_name(image) if time is None else time

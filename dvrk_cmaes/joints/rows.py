@@ -16,7 +16,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.interpolation import TimedReadings
-from dvrk_cmaes.joints.names import joint_reading
+from dvrk_cmaes.joints.names import accepted_names, joint_reading
 
 _NUMBER = re.compile(r"\d+$")
 _MISSING = ("", "nan", "na", "n/a", "<na>", "none", "null", "-")  # cells of tools that write out a missing reading
@@ -35,12 +35,20 @@ class ReadAs:
     offset, step
         A frame of number n has the row of number ``offset`` + ``step`` n; without an ``offset``, rows are found by
         name.
+    known
+        Names of the instrument's joints that are accepted besides the dVRK's.
     """
 
     arm: str | None = None
     columns: tuple[str, ...] = ()
     offset: int | None = None
     step: int = 1
+    known: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the joints that are accepted."""
+        return accepted_names(self.known)
 
 
 BY_THEMSELVES = ReadAs()

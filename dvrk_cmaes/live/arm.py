@@ -50,8 +50,9 @@ class LiveArm:
         Takes lines for the user.
     now
         The clock, s.
-    origin
-        The time, ns, from which those of the tracker are counted: seconds since 1970 have few digits left.
+
+    Times of the tracker are counted from the first image: seconds since 1970 have few digits left, and the clock of a
+    recording that is played is not this computer's.
     """
 
     def __init__(
@@ -61,16 +62,13 @@ class LiveArm:
         outputs: Outputs,
         report: Report,
         now: Callable[[], float],
-        *,
-        origin: int = 0,
     ) -> None:
         self.name, self.state, self.base_state = name, "waiting for the camera", ""
         self.poses = self.ok = self.published = 0
-        self.reasons, self.waited, self._first = tuple[str, ...](), 0.0, 0
+        self.reasons, self.waited, self._first, self._origin = tuple[str, ...](), 0.0, 0, 0
         self.draws, self._make_tracker = outputs.drawn is not None, make_tracker
         self._outputs, self._report, self._now = outputs, report, now
-        self._reason, self._stated = "", now()
-        self._failures, self._origin = 0, origin
+        self._reason, self._stated, self._failures = "", now(), 0
 
     def begin(self, rig: Rig) -> None:
         """Follow anew, by these cameras."""
@@ -83,7 +81,7 @@ class LiveArm:
 
         Returns how many readings are left out, as they are far from the frame's time.
         """
-        self._frame, self._arrays = frame, arrays
+        self._frame, self._arrays, self._origin = frame, arrays, self._origin or frame.time
         near = []
         for one in readings:
             ahead = (one.time - frame.time) / NANOSECONDS

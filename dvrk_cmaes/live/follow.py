@@ -60,8 +60,8 @@ class LiveSetup:
     """What is followed, and how.
 
     ``rig`` is used instead of the topics' cameras if given; ``rectified`` says which of the topics' matrices is used.
-    ``overlay`` publishes an overlay of each image. Trackers count time from ``origin``, ns. ``process`` makes one in
-    which one of several arms is followed; without it all are followed in this one.
+    ``overlay`` publishes an overlay of each image. ``process`` makes one in which one of several arms is followed;
+    without it all are followed in this one.
     """
 
     topics: InputTopics
@@ -69,7 +69,6 @@ class LiveSetup:
     rig: Rig | None = None
     rectified: bool = False
     overlay: bool = False
-    origin: int = 0
     process: Callable[[], Process] | None = None
 
 
@@ -152,7 +151,7 @@ def follow(
             stack.callback(followed.close)
             drawn = own.body if setup.overlay else None
             outputs = Outputs(connection, own.names, own.body.instrument.root_link, drawn)
-            arms.append(LiveArm(own.names.arm, followed.begin, outputs, say, inputs.now, origin=setup.origin))
+            arms.append(LiveArm(own.names.arm, followed.begin, outputs, say, inputs.now))
         loop = LiveLoop(arms, inputs, LogThrottle(report), rig=setup.rig, show=show)
         counts = loop.run(stop, begin_within=begin_within)
     if not loop.began:

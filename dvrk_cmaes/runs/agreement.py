@@ -6,7 +6,7 @@ same frames. Where a mask was found in an image, that is looked at again where m
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
@@ -160,11 +160,14 @@ def base_doubts(results: Mapping[str, Result], limit_deg: float) -> dict[str, st
     return {name: reasons[name] for name in bases if name in reasons}
 
 
-def expected_elsewhere(arm: ArmInSession, results: Mapping[str, Result]) -> list[FrameFiles]:
+def expected_elsewhere(
+    arm: ArmInSession, results: Mapping[str, Result], notice: Callable[[str], None]
+) -> list[FrameFiles]:
     """Return the frames whose masks were found in images and do not agree with most others on where the base is.
 
     ``results`` are those of frames by name, each by its own image. Each frame that is returned starts where those that
     agree expect it; one in which nothing was found is among them. There are none if fewer than 70 % of them agree.
+    ``notice`` takes a line that says how many they are.
     """
     from dvrk_cmaes.calibration.calibrate import in_threads
     from dvrk_cmaes.calibration.session_frame import SessionFrame
@@ -186,15 +189,18 @@ def expected_elsewhere(arm: ArmInSession, results: Mapping[str, Result]) -> list
     run = partial(in_threads, body, config)
     setup = ArmSetup(session.reading_series(), body.instrument, method.arm, config, run)
     expected = predict_from_first(found, {frame.name: images[frame.name].readings for frame in frames}, setup)
+    if expected:
+        notice(f"images looked at again, where the others expect the instrument: {len(expected)}")
     names = body.instrument.joint_names
     return [replace(images[name], start=start_at(found[0].result, at, names)) for name, at in expected.items()]
 
 
-def expected_by_masks(arm: ArmInSession, folder: Path) -> list[FrameFiles]:
+def expected_by_masks(arm: ArmInSession, folder: Path, notice: Callable[[str], None]) -> list[FrameFiles]:
     """Return the frames of `expected_elsewhere` by the masks in a folder that were found in their images."""
     frames = [with_found_masks(files, folder) for files in arm.session.frames]
     found = (estimated(arm, own) if own.has_mask else failed_outcome(arm, own, "no mask was found") for own in frames)
-    return expected_elsewhere(arm, {own.name: outcome.result for own, outcome in zip(frames, found, strict=True)})
+    results = {own.name: outcome.result for own, outcome in zip(frames, found, strict=True)}
+    return expected_elsewhere(arm, results, notice)
 
 
 def with_found_masks(files: FrameFiles, folder: Path) -> FrameFiles:

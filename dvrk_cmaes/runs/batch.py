@@ -201,16 +201,11 @@ def _look_again(out: Path, arm: ArmInSession, workers: Workers) -> bool:
     """Find masks again in images that do not agree with most others, where these expect the tool; whether in all."""
     if all(files.has_mask for files in arm.session.frames):
         return True
-    again, found = expected_elsewhere(arm, read_results(out, summary=False).frames), 0
-    if not again:
-        return True
-    workers.notice(f"images looked at again, where the others expect the instrument: {len(again)}")
+    again = expected_elsewhere(arm, read_results(out, summary=False).frames, workers.notice)
     for name in results_of([files.name for files in again], arm.session.rig.names):
         remove(out / name)  # if the batch ends before it has others, it is resumed with these frames
-    for outcome in outcomes(arm, again, workers):
-        write_outcome(out, outcome)
-        found += 1
-    return found == len(again)
+    written = [write_outcome(out, outcome) for outcome in outcomes(arm, again, workers)]
+    return len(written) == len(again)
 
 
 def outcomes(arm: ArmInSession, todo: Sequence[FrameFiles], workers: Workers) -> Iterator[FrameOutcome]:

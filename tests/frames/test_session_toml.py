@@ -114,6 +114,15 @@ def test_each_tool_has_its_label_and_ignores_the_other(tmp_path: Path) -> None:
         assert 0 < data.ignore[labels == label].mean() < 0.1
 
 
+def test_labels_may_be_in_a_folder_of_another_name(tmp_path: Path) -> None:
+    folder = make_session(tmp_path / "session", ["0000"])
+    labels = write_labels(folder, slice(20, 60), slice(60, 110))
+    (folder / "masks").rename(folder / "segmentation")
+    described(folder, TWO_TOOLS.replace("label", 'masks = "segmentation"\nlabel'))
+    session = read_session(folder, arm="PSM2")
+    np.testing.assert_array_equal(read_frame(session.frames[0], session.camera).mask, labels == 2)
+
+
 def test_tools_with_folders_of_masks_ignore_each_other(tmp_path: Path) -> None:
     folder = make_session(tmp_path / "session", ["0000", "0001"])
     (folder / "other").mkdir()
