@@ -103,7 +103,7 @@ def test_batch_that_ends_while_images_are_looked_at_again_is_resumed_with_these(
     shutil.move(two / "masks" / "0002.png", two / "images")
     looked = list[set[str]]()
 
-    def elsewhere(arm: ArmInSession, results: dict[str, Result]) -> list[FrameFiles]:
+    def elsewhere(arm: ArmInSession, results: dict[str, Result], _notice: object) -> list[FrameFiles]:
         looked.append({*results})
         if kept and len(looked) == 1:
             raise MemoryError
