@@ -70,6 +70,7 @@ _LOG_ODDS: Final = np.array([2.43, 2.5, -0.62, 0.67, 1.23, -5.28])
 
 Fitted by logistic regression to 119 candidates in 44 pictures drawn by rays, before tissue and things of a laboratory.
 """
+_OF_GUESS: Final = 1.0  # by which the score of a guess must be larger than that of a candidate that is none
 _NEAR_FOREGROUND: Final = 0.015  # of the longer side, from what differs from a background, where edges are looked for
 _CLEARLY_BEHIND: Final = -1.5  # log-odds of pixels that are background
 _EXPECTED: Final = np.array([0.02] * 3 + np.deg2rad([30, 30, 60]).tolist())
@@ -110,8 +111,8 @@ def find_instruments(
 ) -> list[Candidate]:
     """Find the instruments in an image (H, W, 3) uint8 BGR; their silhouettes do not share pixels.
 
-    Those that are no guess are first, and of these the one with the largest score; where a pose is ``expected`` the one
-    nearest to that, about which the instrument is looked for, too.
+    In the order of `rank`; where a pose is ``expected`` the one nearest to that is first, about which the instrument is
+    looked for, too.
 
     ``joints`` are the readings, rad, by name. ``rough`` is a mask of any size found by other means: it is looked
     whether its sides are a shaft's, too. ``foreground`` are log-odds of instrument by a known background, of any size.
@@ -142,7 +143,12 @@ def find_instruments(
     found = [Candidate(at[k], float(scores.total[k]), float(sure[k]), masks[k]) for (k,) in groups]
     if expected is not None:
         return sorted(found, key=lambda each: float(np.square(each.at.minus(expected)[:6] / _EXPECTED).sum()))
-    return sorted(found, key=lambda each: (each.confidence < GUESS, -each.score))
+    return sorted(found, key=lambda each: rank(each.score, each.confidence), reverse=True)
+
+
+def rank(score: float, confidence: float) -> float:
+    """Return by what candidates are ordered, given a score and a confidence: a guess needs a clearly larger score."""
+    return score - _OF_GUESS * (confidence < GUESS)
 
 
 def _pairs_in(

@@ -19,7 +19,7 @@ from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.frames.seen_view import overlap_of
 from dvrk_cmaes.geometry import Bool, Float32, Image, Posed
 from dvrk_cmaes.segment.around import mask_around, segmentation_around
-from dvrk_cmaes.segment.by_model import Candidate, assumed_camera, find_instruments
+from dvrk_cmaes.segment.by_model import Candidate, assumed_camera, find_instruments, rank
 from dvrk_cmaes.segment.colours import ColourTable, measure_colours
 from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.regions import FINEST, distance_to, resized, shrunk, size_within
@@ -119,7 +119,7 @@ def segment_by_model(
     sure = roughly.confidence >= GUESS
     about = roughly.mask if sure and roughly.mask.any() and not roughly.mask.all() else None
     candidates = find_instruments(image, prompts, body, camera, joints, about, foreground, expected)
-    likely = [each for each in candidates if each.confidence >= GUESS]
+    likely = candidates[: max((k for k, each in enumerate(candidates, 1) if each.confidence >= GUESS), default=0)]
     found = [each for each in likely if _fits(each, prompts, image)] if expected is None else candidates[:1]
 
     @cache
@@ -149,15 +149,16 @@ def segment_by_model(
         own = mask_of_candidate(image, each, body, camera, without, foreground, finest)
         return same if own.mask.any() and same is not None and same.confidence > own.confidence else own
 
-    masks, taken = list[Segmentation](), np.zeros_like(prompts.outside)
+    masks, ranks, taken = list[Segmentation](), list[float](), np.zeros_like(prompts.outside)
     for each in found if not prompts.given else found[:1]:
         mask = mask_of(each, FINEST if all(one.confidence < GUESS for one in masks) else _FURTHER)
         if mask.mask.any() and (mask.mask & taken).sum() <= _SHARED * mask.mask.sum():
             masks.append(replace(mask, mask=mask.mask & ~taken) if taken.any() else mask)
+            ranks.append(rank(each.score, mask.confidence))
             taken = taken | mask.mask
     if not masks:
         return by_colours()
-    first, *others = sorted(masks, key=lambda each: each.confidence < GUESS)  # else in the order of the search
+    first, *others = (masks[k] for k in sorted(range(len(masks)), key=lambda k: -ranks[k]))
     if not others:
         return first
     confidence = min(first.confidence, _UNDECIDED) if joints else first.confidence

@@ -12,7 +12,7 @@ from helpers.transforms import transform
 from dvrk_cmaes import Camera, Renderer, prepare
 from dvrk_cmaes.geometry import Posed, frame_along, rotation_about_z
 from dvrk_cmaes.segment import Segmentation, model_masks, segment
-from dvrk_cmaes.segment.by_model import find_instruments
+from dvrk_cmaes.segment.by_model import Candidate, find_instruments, rank
 from dvrk_cmaes.segment.model_masks import segment_by_model
 from dvrk_cmaes.segment.prompts import no_prompts
 from dvrk_cmaes.segment.segmentation import GUESS
@@ -98,7 +98,7 @@ def test_candidates_are_where_the_instruments_are_and_share_few_pixels() -> None
     assert overlap(found[0].silhouette, small) > 0.75
     axis = np.array(RIGHT[0]) / np.linalg.norm(RIGHT[0])
     assert np.degrees(np.arccos(found[0].at.pose[:3, 2] @ axis)) < 8
-    assert found == sorted(found, key=lambda each: (each.confidence < GUESS, -each.score))
+    assert found == sorted(found, key=lambda each: -rank(each.score, each.confidence))
     again = find_instruments(image, no_prompts(image.shape), BODY, CAMERA)
     assert np.array_equal(again[0].at.pose, found[0].at.pose)
 
@@ -156,6 +156,21 @@ def test_an_unlikely_instrument_is_a_guess_where_nothing_else_is_found(
     assert found.confidence < GUESS
     if taken:
         assert overlap(found.mask, mask) > 0.9
+
+
+def test_a_guess_is_taken_before_a_surer_instrument_only_of_a_clearly_larger_score(
+    two: tuple[np.ndarray, list[np.ndarray], Segmentation], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    image, masks, _ = two
+    found = [Candidate(posed(*pose)[0], 6.0, 0.6, mask) for pose, mask in zip((LEFT, RIGHT), masks, strict=True)]
+    nothing = Segmentation(np.zeros_like(masks[0]), confidence=0.0)
+    for score, first in [(7.5, 0), (6.5, 1)]:
+        guess = replace(found[0], score=score, confidence=0.45)
+        both = sorted([guess, found[1]], key=lambda each: -rank(each.score, each.confidence))
+        monkeypatch.setattr(model_masks, "find_instruments", lambda *_, both=both, **__: both)
+        taken = segment_by_model(image, BODY, CAMERA, None, no_prompts(image.shape), *2 * [lambda: nothing])
+        assert overlap(taken.mask, masks[first]) > 0.8
+        assert (taken.confidence < GUESS) == (first == 0)
 
 
 def test_what_lies_before_an_instrument_is_not_in_its_mask() -> None:
