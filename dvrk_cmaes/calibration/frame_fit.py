@@ -87,14 +87,19 @@ class FrameFit:
     seen: Quadratic | None = None
 
     @property
+    def alone(self) -> Quadratic:
+        """The outline's terms at the fit, in its own changes (1, D)."""
+        return Quadratic(self.outline.information[:, : self._size, : self._size], self.outline.slope[:, : self._size])
+
+    @property
     def information(self) -> Float64:
         """Gauss-Newton matrix (D, D) of the outline's terms at the fit."""
-        return self.outline.information[0, : self._size, : self._size]
+        return np.asarray(self.alone.information[0])
 
     @property
     def slope(self) -> Float64:
         """Gradient (D,) of half their sum of squares."""
-        return self.outline.slope[0, : self._size]
+        return np.asarray(self.alone.slope[0])
 
     @property
     def by_margin(self) -> Float64:

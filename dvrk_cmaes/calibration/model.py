@@ -285,24 +285,6 @@ def _columns(readings: Sequence[Mapping[str, float]], names: Sequence[str]) -> F
     return np.array([[own.get(name, np.nan) for name in names] for own in readings]).reshape(-1, len(names))
 
 
-@dataclass(frozen=True, eq=False)
-class CommonErrors:
-    """Errors that N frames share: those of frames near each other in time, and that of the lag.
-
-    A shadow along the shaft stays for some tenths of a second, and frames near each other share more than that: what
-    no joint explains, the readings' errors at one place of the arm, the rest of a segmenter's mistakes. So the errors
-    of frames within some time count as those of one, however many they are: else the frames of a recording would
-    outweigh the prior, the more of them are used the more.
-
-    ``times`` (N,), s, are those of the frames, NaN where unknown. ``by_lag`` (N, D) are the changes of what is
-    predicted of the frames by one standard deviation of the lag. Frames within ``alike_seconds`` count as one.
-    """
-
-    times: Float64
-    by_lag: Float64
-    alike_seconds: float = 0.0
-
-
 def frames_alike(times: Float64, seconds: float) -> Float64:
     """Return the number of frames (N,), itself included, that err like each frame and count as one with it.
 

@@ -275,7 +275,7 @@ def _with_seen(arms: Arms, *, last: bool) -> Arms:
         if refine:
             arm = replace(arm, change=own.value(CAMERA))
         else:
-            margin = own.calibration.tested[0]
+            margin = next(one for one in own.calibration.tested if one.name == MARGIN)
             arm = replace(arm, margin=margin.stated(*estimates[0].shown_of(margin))[0])
         out.append(arm.with_calibration(own.calibration.alone(), moved=own.at))
     return out
@@ -287,7 +287,7 @@ def _tested(arms: Arms, passes: int = _PASSES) -> list[Solved]:
     Frames are fitted again with the blocks that are found, until these are settled.
     """
     for _ in range(passes):
-        found = solve_with_variances([arm.outlined() for arm in arms], arms[0].setup.config.session)
+        found = solve_with_variances([arm.outlines(tested=True) for arm in arms], arms[0].setup.config.session)
         if all(own.is_settled for own in found) or not all(own.is_plausible for own in found):
             break
         pairs = zip(arms, found, strict=True)

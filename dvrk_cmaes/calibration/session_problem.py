@@ -14,7 +14,7 @@ from dvrk_cmaes.calibration.consensus import ArmModes
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.lag import SessionLag
 from dvrk_cmaes.calibration.masks_and_sizes import MaskMargin, PartSizes, WholeSize, taken_off
-from dvrk_cmaes.calibration.model import CommonErrors, SessionModel
+from dvrk_cmaes.calibration.model import SessionModel, frames_alike
 from dvrk_cmaes.calibration.session_camera import CameraChange, Lens
 from dvrk_cmaes.calibration.session_frame import Run, SeenAs, SessionFrame, StoredFrame
 from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, Solved
@@ -168,27 +168,26 @@ class ArmSession(ArmModes):
         return {**self.setup.config.as_dict(), "instrument": self.setup.instrument.describe_limits(self.setup.arm)}
 
     @property
-    def taken_off(self) -> float:
-        """Margin, px, that is taken off all masks."""
-        return taken_off(self.margin)
-
-    @property
     def checked(self) -> BlockCheck:
         """What is found of the blocks that are seen."""
         assert self.check is not None
         return self.check
 
-    @property
-    def common(self) -> CommonErrors:
-        """The errors that the frames share."""
-        by_lag = self.lag.change_of_predictions(self.model, self.calibration)
-        return CommonErrors(self.times, by_lag, self.setup.config.session.alike_seconds)
+    def outlines(self, *, tested: bool = False, keep_all: bool = False) -> ArmFrames:
+        """Return the current fits; without the outlines that do not explain the mask, unless ``keep_all``.
 
-    def outlines(self, *, keep_all: bool = False) -> ArmFrames:
-        """Return the current fits; without the outlines that do not explain the mask, unless ``keep_all``."""
-        outlines = Quadratic(*(np.array([getattr(fit, one) for fit in self.fits]) for one in ("information", "slope")))
+        As functions of the ``tested`` blocks, too, they are those of one view; a frame without it does not count.
+        """
+        seen = {block.name: value for block, value in self.seen_as} if tested else {}
+        none = Quadratic.zero(1, 6 + self.at.joints.shape[1] + sum(len(value) for value in seen.values()))
         counts = np.array([fit.explains_mask or keep_all for fit in self.fits], np.float64)
-        return ArmFrames(self.model, FrameFits(self.at, outlines.times(counts), self.common), self.calibration)
+        terms = Quadratic.joined([(fit.seen or none) if tested else fit.alone for fit in self.fits]).times(counts)
+        # others without an outline do not count
+        when = np.where(terms.information.any(axis=(1, 2)), self.times, np.nan)
+        shares = 1 / frames_alike(when, self.setup.config.session.alike_seconds)
+        by_lag = self.lag.change_of_predictions(self.model, self.calibration)
+        whole = self.calibration.alone().with_blocks(*self.tested, **self.seen) if tested else self.calibration
+        return ArmFrames(self.model, FrameFits(self.at, terms, shares, by_lag, seen), whole)
 
     @property
     def shown(self) -> list[int | None]:
@@ -212,7 +211,8 @@ class ArmSession(ArmModes):
         All others are tested from the last round on.
         """
         config, camera = self.setup.config, self.camera
-        margin, change = MaskMargin(camera.pixel_scale, self.taken_off, used=self.change is None), self.change
+        change, start = self.change, taken_off(self.margin)
+        margin = MaskMargin(camera.pixel_scale, start, used=change is None)
         others = (CameraChange(config, camera, change), *(make(config, camera) for make in TESTED if self.last))
         return margin, *(others if self.last or change is not None else ())
 
@@ -221,18 +221,6 @@ class ArmSession(ArmModes):
         """The tested blocks that change what the views show, with their values in the fits."""
         blocks = [block for block in self.tested if isinstance(block, SeenBlock)]
         return tuple((one, one.start if one.is_linear else self.seen.get(one.name, one.start)) for one in blocks)
-
-    def outlined(self) -> ArmFrames:
-        """Return the current fits as functions of the tested blocks, too.
-
-        They are those of one view; a frame without it, or that does not explain its mask, does not count.
-        """
-        values = {block.name: value for block, value in self.seen_as}
-        size = 6 + self.at.joints.shape[1] + sum(len(value) for value in values.values())
-        none = Quadratic.zero(1, size)
-        terms = Quadratic.joined([fit.seen if fit.seen and fit.explains_mask else none for fit in self.fits])
-        calibration = self.calibration.alone().with_blocks(*self.tested, **self.seen)
-        return ArmFrames(self.model, FrameFits(self.at, terms, self.common, values), calibration)
 
     @property
     def disagreements(self) -> list[str]:

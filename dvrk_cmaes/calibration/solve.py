@@ -22,7 +22,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.blocks import Calibration, TestedBlock
 from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, ArmModes, choose_modes
-from dvrk_cmaes.calibration.model import CommonErrors, Deviations, SessionModel, frames_alike
+from dvrk_cmaes.calibration.model import Deviations, SessionModel
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import Bool, Float64, Indices, Posed
 from dvrk_cmaes.pose.refine.information import Eliminated, eliminate, times
@@ -48,12 +48,19 @@ class FrameFits:
 
     ``at`` are the N points of expansion. ``outlines`` (N, D + E) are the approximations for changes from there, D = 6 +
     J, and for changes of E further unknowns from the values of their blocks, ``seen``; most often there are none. The
-    slope is zero at an outline's own optimum. ``common`` are the errors that the frames share.
+    slope is zero at an outline's own optimum.
+
+    A shadow along the shaft stays for some tenths of a second, and frames near each other share more than that: what
+    no joint explains, the readings' errors at one place of the arm, the rest of a segmenter's mistakes. So the errors
+    of frames within some time count as those of one, however many they are: else the frames of a recording would
+    outweigh the prior, the more of them are used the more. ``shares`` (N,) are those of one frame as which each counts.
+    ``by_lag`` (N, D) are the changes of what is predicted of the frames by one standard deviation of the lag.
     """
 
     at: Posed
     outlines: Quadratic
-    common: CommonErrors
+    shares: Float64
+    by_lag: Float64
     seen: Mapping[str, Float64] = field(default_factory=dict)
 
     @classmethod
@@ -62,13 +69,7 @@ class FrameFits:
         none = np.zeros(arm.covariances.shape[:2])
         at = arm.mode(np.arange(len(chosen)), chosen)
         information = np.asarray(np.linalg.inv(arm.covariances), np.float64)
-        return cls(at, Quadratic(information, none), CommonErrors(np.full(len(chosen), np.nan), none))
-
-    @cached_property
-    def shares(self) -> Float64:
-        """Shares (N,) of one frame as which each counts, because others err like it."""
-        counted = self.outlines.information.any(axis=(1, 2))  # others without an outline do not count
-        return 1 / frames_alike(np.where(counted, self.common.times, np.nan), self.common.alike_seconds)
+        return cls(at, Quadratic(information, none), np.ones(len(chosen)), none)
 
     @property
     def further(self) -> Float64:
@@ -302,7 +303,7 @@ def solution_at(arms: Sequence[ArmFrames]) -> list[Solved]:
         independent[both] += np.einsum("n,nij->ij", fits.shares, of_frames)
         gradient[place] += slopes.sum(axis=0)
         by_pose = weighted @ frames.left.information[:, :, : frames.expected.shape[1]]
-        by_lag[place] += times(by_pose, fits.common.by_lag).sum(axis=0)
+        by_lag[place] += times(by_pose, fits.by_lag).sum(axis=0)
         for number, part in enumerate(np.array_split(slopes, min(_PARTS, len(slopes)))):
             parts[number, place] += part.sum(axis=0)
         found.append(partial(Solved, model, fits, calibration, weights, misfit, of_frames, slopes))
