@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,15 @@ from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.arguments import checked_array, checked_number
 
 _WIDTH_OF_LIMITS = 640  # px, of the images on which limits in pixels were set
+
+
+@lru_cache(maxsize=64)
+def _lens_of(model: str, coefficients: tuple[float, ...], border: bytes) -> Lens:
+    """Return a lens, whose radius takes longer to find than a pose to draw; the last ones are kept for equal cameras.
+
+    ``border`` are the bytes of that of `Lens`, (N, 2) float64.
+    """
+    return Lens(model, coefficients, np.frombuffer(border).reshape(-1, 2))
 
 
 @dataclass(frozen=True)
@@ -91,7 +100,7 @@ class Camera:
 
     @cached_property
     def _lens(self) -> Lens | None:
-        return None if self.is_pinhole else Lens(self.model, self.distortion, self._border())
+        return None if self.is_pinhole else _lens_of(self.model, self.distortion, self._border().tobytes())
 
     @property
     def matrix(self) -> Float64:
