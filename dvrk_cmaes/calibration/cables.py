@@ -344,11 +344,11 @@ class SessionCables(Document):
         for j, k in _clear(np.array(self.coupling), np.array(self.coupling_std), spread[:, :count], _LEAST_COUPLING):
             acts = f"{self.joints[k]} drags {self.joints[j]}" if j != k else f"{self.joints[j]} is scaled"
             value, std = self.coupling[j][k], self.coupling_std[j][k]
-            texts.append((abs(value), f"{acts} by {np.degrees(value):+z.0f} deg a rad, std {np.degrees(std):.0f}"))
+            texts.append((abs(value), f"{acts} by {np.degrees(value):+z.1f} deg a rad, std {np.degrees(std):.1f}"))
         for j, k in _clear(play, play_std, usual, _LEAST_PLAY / width):
             acts, size = f"play of {self.joints[k]} moves {self.joints[j]}", np.degrees(width[k])
             acts = acts if j != k else f"{self.joints[j]} stays behind its reading"
-            text = f"{acts} by up to {size * abs(play[j, k]):.0f} deg, std {size * play_std[j, k]:.0f}"
+            text = f"{acts} by up to {size * abs(play[j, k]):.1f} deg, std {size * play_std[j, k]:.1f}"
             texts.append((abs(play[j, k]), text))
         yield from (text for _, text in sorted(texts, reverse=True))
         if "wander" in self.parts:

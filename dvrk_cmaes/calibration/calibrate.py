@@ -89,21 +89,20 @@ def calibrate_session(
     Parameters
     ----------
     frames
-        Frames in the order they were taken, each with its own result (of `estimate`), whose readings must have the
-        outer joints yaw, pitch, insertion and roll. Frames without these readings and failed frames are left out.
+        Frames in the order they were taken, each with its own result (of `estimate`). Failed frames, and those without
+        readings of the outer joints yaw, pitch, insertion and roll, are left out.
     instrument
         As in `estimate`.
     series
-        All readings of the recording as functions of time, and the times of the frames' images: the lag between images
-        and readings is estimated with them. By default the series is made of the frames' own readings.
+        All readings of the recording as functions of time, with the times of the frames' images, by which the lag is
+        estimated; by default those of the frames themselves.
     arm
         The kinematics of the outer arm.
     refine_camera
-        Whether to estimate focal length and principal point with the base, and to solve the session with them. Their
-        prior is wide, 30 % and 300 px. By default they are only compared with those of the frames' camera.
+        Whether to estimate focal length and principal point with the base, with a wide prior of 30 % and 300 px, and to
+        solve the session with them. By default they are only compared with those of the frames' camera.
     lag
-        The lag of the images behind the readings that is taken out, zero for none. By default it is looked for in
-        readings that move smoothly from row to row.
+        The lag of the images that is taken out, zero for none; by default looked for in readings that move smoothly.
     config
         All settings; those of the calibration are in ``config.session``.
     run

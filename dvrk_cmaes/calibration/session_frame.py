@@ -213,16 +213,8 @@ class StoredFrame:
                 hidden.append(held)
                 one = FrameView.of(view, body, np.logical_or.reduce(hidden), tips, seed=config.seed)
             views.append(one)
-        return cls.of_views(views, data.camera, with_noise(OwnEstimate.of(views, own), views, config))
-
-    @classmethod
-    def of_views(cls, views: Sequence[FrameView], camera: Camera, own: OwnEstimate) -> StoredFrame:
-        """Pack the views of a frame that show the instrument."""
-        return cls(tuple(map(StoredView.of, views)), camera, own)
-
-    def number_of(self, view: str) -> int | None:
-        """Return the number of the view of that name; None if it does not show the instrument."""
-        return next((k for k, one in enumerate(self.views) if one.name == view), None)
+        known = with_noise(OwnEstimate.of(views, own), views, config)
+        return cls(tuple(map(StoredView.of, views)), data.camera, known)
 
 
 def camera_remarks(stored: StoredFrame) -> tuple[str, ...]:

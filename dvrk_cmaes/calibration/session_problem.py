@@ -197,7 +197,7 @@ class ArmSession(ArmModes):
         """
         first = [stored.views[0] for stored in self.stored]  # that of the reference camera, where it shows it
         name = next((view.name for view in first if np.array_equal(view.view_from_camera, np.eye(4))), first[0].name)
-        return [stored.number_of(name) for stored in self.stored]
+        return [next((k for k, one in enumerate(own.views) if one.name == name), None) for own in self.stored]
 
     @property
     def camera(self) -> Camera:
