@@ -181,34 +181,30 @@ def segment_file(
 
     import numpy as np
 
-    from dvrk_cmaes.camera import View
+    from dvrk_cmaes.camera import Rig, View
     from dvrk_cmaes.draw.track_overlay import draw_track
     from dvrk_cmaes.estimation.image_frame import segment_view
-    from dvrk_cmaes.frames.images import match_size, read_image
-    from dvrk_cmaes.frames.seen_view import SeenView
+    from dvrk_cmaes.frames.frame import read_frame
     from dvrk_cmaes.io.json_file import write_image
     from dvrk_cmaes.results.folder import mask_path, overlay_path
     from dvrk_cmaes.results.tracked import TrackView
     from dvrk_cmaes.segment.by_model import assumed_camera
     from dvrk_cmaes.segment.segmentation import GUESS
 
-    path, name = files.image, frame.rpartition("/")[0]
-    assert path is not None
-    image = read_image(path)
+    name, alone = frame.rpartition("/")[0], replace(files, ignore=None, problem=None)
+    known = None if rig is None else replace(rig.view(name) if name else rig.views[0], name=name)
+    view = read_frame(alone, Rig((known or View(name, assumed_camera(*files.size), np.eye(4)),))).views[0]
+    assert view.image is not None
     started = perf_counter()
-    view = View(name, assumed_camera(*image.shape[1::-1]), np.eye(4))
-    if rig is not None:
-        view = replace(rig.view(name) if name else rig.views[0], name=name)
-        view = replace(view, camera=match_size(view.camera, image.shape[:2], "image", f"{path}: ")[0])
-    found = segment_view(SeenView.of(view, None, image=image), files, hints, body, settings, threads)
+    found = segment_view(view, files, hints, body, settings, threads)
     seconds = perf_counter() - started
     if not found.mask.any():
-        raise DvrkCmaesError(f"{path}: no instrument found; a box or a point on the instrument would help")
+        raise DvrkCmaesError(f"{files.image}: no instrument found; a box or a point on the instrument would help")
     here = Path()
     written = {"mask": mask_path(here, frame), "overlay": overlay_path(here, frame)}
     status = "doubtful" if found.confidence < GUESS else "ok"
     text = "; ".join([f"confidence {found.confidence:.2f}", *found.notes])
-    shown = TrackView(image, found.mask, None, image.shape[1::-1])
+    shown = TrackView(view.image, found.mask, None, view.image.shape[1::-1])
     write_image(out / written["overlay"], draw_track([shown], frame=frame, status=status, reasons=[text]))
     for number, other in enumerate(found.others, start=2):
         written[f"mask_{number}"] = Path("others", f"{frame}-{number}.png")

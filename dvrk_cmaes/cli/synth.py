@@ -92,20 +92,19 @@ class SynthOptions:
         table = read_marker_table(bundled_path("markers", "lnd.json"))
         links = {body.instrument.root_link, *(joint.child for joint in body.instrument.chain.joints)}
         painted = all(marker.link in links for marker in table.values())
+        level, given = LEVELS[self.level], camera.camera
+        lens = None if given is None else read_camera(given, rectified=camera.rectified, side=camera.side)
+        lag = None if self.lag is None else Lag.parse("--lag", self.lag).in_seconds(FRAMES_A_SECOND) * FRAMES_A_SECOND
         return SessionPlan(
             body=body,
-            camera=default_camera(LEVELS[self.level])
-            if camera.camera is None
-            else read_camera(camera.camera, rectified=camera.rectified, side=camera.side),
-            level=LEVELS[self.level],
+            camera=lens or default_camera(level),
+            level=level,
             motion=self.motion,
             frames=self.frames,
             seed=self.seed,
             markers=table if painted else {},
             arm=instrument.kinematics,
-            lag=None
-            if self.lag is None
-            else FRAMES_A_SECOND * Lag.parse("--lag", self.lag).in_seconds(FRAMES_A_SECOND),
+            lag=lag,
             cables="measured" if self.motion == "video" and self.level in ("medium", "hard") else "independent",
             baseline=_BASELINE if self.stereo else None,
             tool=_written(instrument),
@@ -182,12 +181,11 @@ def synth(
     from dvrk_cmaes.synth.two_arms_recording import write_recording_of_arms
 
     plan = wanted.plan(camera, instrument)
-    tool = _written(instrument)
     pictures: Pictures = "none" if not wanted.images else "video" if wanted.mp4 else "files"
     if wanted.arms > 1 and wanted.motion == "video":
-        write_recording_of_arms(out, plan, tool, pictures=pictures, overwrite=overwrite)
+        write_recording_of_arms(out, plan, pictures=pictures, overwrite=overwrite)
     elif wanted.arms > 1:
-        write_two_arms(out, plan, tool, overwrite=overwrite)
+        write_two_arms(out, plan, overwrite=overwrite)
     elif wanted.motion == "video":
         write_recording(out, plan, pictures=pictures, overwrite=overwrite)
     else:

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.csv_file import Rows, read_csv_rows
-from dvrk_cmaes.io.short_text import listed, shown
+from dvrk_cmaes.io.short_text import is_number, listed, shown
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.joint_state import file_of_messages
 from dvrk_cmaes.joints.names import ARM_ORDER, joint_reading, joints_of_arm
@@ -121,10 +121,7 @@ def _of_plotjuggler(name: str) -> str | None:
 
 def _times(cell: str, factor: float) -> str:
     """Multiply the number in a cell; another cell stays as it is, and is refused where it is read."""
-    try:
-        return cell if factor == 1.0 else repr(float(cell) * factor)
-    except ValueError:
-        return cell
+    return repr(float(cell) * factor) if factor != 1.0 and is_number(cell) else cell
 
 
 LEAST = 1_000_000
@@ -285,13 +282,10 @@ def _joint_table(path: str, header: list[str], rows: Rows, read_as: ReadAs) -> J
 
 def _whole_number(where: str, name: str, cell: str) -> str:
     """Return the decimal text of a whole number, which may be written as 26.0; InputError for other cells."""
-    try:
-        number = float(cell)
-        if number == int(number):
-            return str(int(number))
-    except (ValueError, OverflowError):
-        pass
-    raise InputError(f"{where}: {name}: expected a whole number, got {shown(cell)}")
+    number = float(cell) if is_number(cell) else math.nan
+    if not number.is_integer():
+        raise InputError(f"{where}: {name}: expected a whole number, got {shown(cell)}")
+    return str(int(number))
 
 
 def _topic_table(path: str, header: list[str], rows: Rows, comments: dict[str, str], read_as: ReadAs) -> JointFile:

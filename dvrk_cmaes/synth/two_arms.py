@@ -65,10 +65,10 @@ def hidden_shares(first: Float32, second: Float32) -> tuple[float, float]:
     return counts[0][0] / counts[0][1], counts[1][0] / counts[1][1]
 
 
-def write_two_arms(out: Path, plan: SessionPlan, tool: ToolEntry, *, overwrite: bool = False) -> None:
+def write_two_arms(out: Path, plan: SessionPlan, *, overwrite: bool = False) -> None:
     """Make a session of two arms and write it to a folder, completely or, after an error, not at all.
 
-    ``tool`` is what session.toml says of the instrument of both arms. Errors as `synth.session.write_session`.
+    Errors as `synth.session.write_session`.
     """
     with whole_folder(out, "synth", overwrite=overwrite) as folder:
         arms = make_arms(plan)
@@ -82,7 +82,7 @@ def write_two_arms(out: Path, plan: SessionPlan, tool: ToolEntry, *, overwrite: 
             write_joints(folder / f"joints_{arm}.csv", dict(zip(names, readings, strict=True)), columns)
             stated = {name: truth.stated for name, truth in zip(names, truths, strict=True)}
             write_golden(folder / f"golden_{arm}.json", SessionTruth(stated, base))
-        write_cameras(folder, plan, tools_of_arms(tool))
+        write_cameras(folder, plan, tools_of_arms(plan))
         write_json(folder / PLAN_FILE, {**plan.describe(), "arms": list(ARMS)})
 
 
@@ -125,9 +125,9 @@ def _segmented(plan: SessionPlan, exact: Bool, number: int, tool: int, outside: 
     return simulate_segmentation(exact, rng, plan.level.mistakes, outside).mask
 
 
-def tools_of_arms(tool: ToolEntry) -> list[ToolEntry]:
+def tools_of_arms(plan: SessionPlan) -> list[ToolEntry]:
     """Return the entries of the tools of both arms, with their labels and files of readings."""
     return [
-        replace(tool, arm=arm, label=(label,), joints=Path(f"joints_{arm}.csv"))
+        replace(plan.tool or ToolEntry(arm), arm=arm, label=(label,), joints=Path(f"joints_{arm}.csv"))
         for label, arm in enumerate(ARMS, start=1)
     ]

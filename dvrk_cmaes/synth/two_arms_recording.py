@@ -15,7 +15,6 @@ from typing import Final
 
 import numpy as np
 
-from dvrk_cmaes.frames.session_toml import ToolEntry
 from dvrk_cmaes.geometry import Float32
 from dvrk_cmaes.io.json_file import write_json
 from dvrk_cmaes.io.output import whole_folder
@@ -86,20 +85,17 @@ def frames_of_arms(
         yield _frame(plan, truths, number, part, occluder, [next(own) for own in shadows])
 
 
-def write_recording_of_arms(
-    out: Path, plan: SessionPlan, tool: ToolEntry, *, pictures: Pictures = "none", overwrite: bool = False
-) -> None:
+def write_recording_of_arms(out: Path, plan: SessionPlan, *, pictures: Pictures, overwrite: bool = False) -> None:
     """Make a recording of two arms and write it to a folder, completely or, after an error, not at all.
 
-    ``tool`` is what session.toml says of the instrument of both arms. Images and errors as in
-    `recording.write_recording`.
+    Images and errors as in `recording.write_recording`.
     """
     level = motion_level(plan)
     levels = (level, level if plan.lag is not None else _with_own_lag(plan, level))
     with whole_folder(out, "synth", overwrite=overwrite) as folder:
         arms = {f"_{name}": arm for name, arm in zip(ARMS, record_arms(plan, levels), strict=True)}
         write_arms(folder, plan, arms, partial(frames_of_arms, plan), pictures)
-        write_cameras(folder, plan, tools_of_arms(tool))
+        write_cameras(folder, plan, tools_of_arms(plan))
         lags = {name: own.lag for name, own in zip(ARMS, levels, strict=True)}
         write_json(folder / PLAN_FILE, {**describe_recording(plan, level, pictures), "arms": list(ARMS), "lags": lags})
 
