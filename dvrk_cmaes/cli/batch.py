@@ -15,13 +15,13 @@ from dvrk_cmaes.cli.options import (
     OUTPUT,
     CalibrationOptions,
     Flag,
+    Pixel,
     Processes,
     ReadingOptions,
     SegmentOptions,
     SessionOptions,
     check_range,
     options,
-    parse_pixel,
 )
 from dvrk_cmaes.cli.session_tools import (
     ArmReport,
@@ -84,7 +84,7 @@ class BatchOptions:
     resume: Annotated[bool, Parameter(negative="--overwrite", show_default=False)] = True
     joints: Annotated[tuple[Path, ...], Parameter(negative=(), show_default=False)] = ()
     label: str | None = None
-    pick: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    pick: Pixel = None
     workers: Processes = None
     scheduler: str | None = None
     time_limit: float = 600.0
@@ -106,8 +106,7 @@ class BatchOptions:
             label = parse_label("--label", self.label)
             session = replace(session, frames=tuple(files.changed(label=label) for files in session.frames))
         if self.pick is not None:
-            pick = parse_pixel("pick", self.pick)
-            session = replace(session, frames=tuple(replace(files, pick=pick) for files in session.frames))
+            session = replace(session, frames=tuple(replace(files, pick=self.pick) for files in session.frames))
         if any((prompts.box, prompts.point, prompts.not_point)):
             session = session.with_prompts(prompts.hints())
         lag = None if method.session is None else method.session.applied_lag

@@ -15,15 +15,16 @@ from dvrk_cmaes.cli.options import (
     TWIN,
     CalibrationOptions,
     Flag,
+    Four,
     FrameCameraOptions,
     MethodOptions,
+    Pixel,
     ReadingOptions,
     SegmentOptions,
     UrdfOptions,
     joint_files,
+    numbers,
     options,
-    parse_numbers,
-    parse_pixel,
 )
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer, exit_code, note, table_lines, warn
 from dvrk_cmaes.errors import InputError
@@ -35,8 +36,6 @@ if TYPE_CHECKING:
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.joints.reading import FrameReadings
     from dvrk_cmaes.results.result import Result
-
-_Hyphens = Parameter(allow_leading_hyphen=True)
 
 
 @options(group=FRAME)
@@ -93,9 +92,9 @@ class FrameOptions:
     mask_right: Path | None = None
     image_right: Path | None = None
     ignore_right: Path | None = None
-    keypoints: Annotated[str | None, _Hyphens] = None
+    keypoints: Annotated[Four | None, numbers("four numbers u1,v1,u2,v2 in pixels", 4)] = None
     label: str | None = None
-    pick: Annotated[str | None, _Hyphens] = None
+    pick: Pixel = None
     only: str | None = None
     reading: ReadingOptions = ReadingOptions()
 
@@ -135,17 +134,13 @@ class FrameOptions:
         from dvrk_cmaes.joints.times import parse_time, time_in_name
 
         assert self.named is not None
-        tips = None
-        if self.keypoints is not None:
-            pixels = parse_numbers("keypoints", self.keypoints, "four numbers u1,v1,u2,v2 in pixels", 4)
-            tips = np.reshape(pixels, (2, 2))
+        tips = None if self.keypoints is None else np.reshape(self.keypoints, (2, 2))
         label = None if self.label is None else parse_label("--label", self.label)
-        pick = None if self.pick is None else parse_pixel("pick", self.pick)
         name = self.named.stem if self.frame is None else self.frame
         found = time_in_name(self.named.stem) if self.time is None else parse_time("--time", self.time)
         moment = None if found is None else found / NANOSECONDS
         crop = None if camera.crop is None else parse_crop("--crop", camera.crop)
-        files = FrameFiles(name, self.mask, {}, self.image, self.ignore, tips, label, pick, moment, crop=crop)
+        files = FrameFiles(name, self.mask, {}, self.image, self.ignore, tips, label, self.pick, moment, crop=crop)
         if self.mask_right is None and self.image_right is None:
             return files
         right = FrameFiles(name, self.mask_right, {}, self.image_right, self.ignore_right, None, label, crop=crop)

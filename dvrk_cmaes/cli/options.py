@@ -72,13 +72,37 @@ def whole(least: float = -math.inf, most: float = math.inf, **more: Any) -> Para
     return Parameter(converter=converted, **more)
 
 
+def numbers(expected: str, count: int, *, several: bool = False) -> Parameter:
+    """Return how an option takes finite numbers with commas between them; InputError for others, or not so many.
+
+    One that may be given ``several`` times has a tuple of such tuples.
+    """
+
+    def converted(_: Any, tokens: Sequence[Token]) -> Any:
+        found = []
+        for token in tokens:
+            values = [float(part) for part in token.value.split(",") if is_number(part) and math.isfinite(float(part))]
+            if len(values) != count or token.value.count(",") != count - 1:
+                raise InputError(f"{token.keyword}: expected {expected}, got {token.value!r}")
+            found.append(tuple(values))
+        return tuple(found) if several else found[0]
+
+    return Parameter(converter=converted, negative=(), show_default=False, allow_leading_hyphen=True)
+
+
+if TYPE_CHECKING:
+    Two = tuple[float, float]
+    Four = tuple[float, float, float, float]
+else:
+    Two = Four = str  # as they are given
 LayoutOption = Literal["mono", "side-by-side", "top-bottom"] | None
 EveryNth = Annotated[int, whole(1, MOST_SKIPPED)]
 SeedOption = Annotated[int, whole(0, LARGEST_SEED)]
 Processes = Annotated[int | None, whole(1, MOST_PROCESSES)]
 """Number of processes, or of threads."""
 Flag = Annotated[bool, Parameter(negative=())]
-Pixels = Annotated[tuple[str, ...], Parameter(negative=(), show_default=False, allow_leading_hyphen=True)]
+Pixel = Annotated[Two | None, numbers("a pixel u,v", 2)]
+Pixels = Annotated[tuple[Two, ...], numbers("a pixel u,v", 2, several=True)]
 ConfigOption = Annotated[Path | None, Parameter(name="--config", group=METHOD)]
 
 
@@ -384,23 +408,15 @@ class PromptOptions:
         Pixel u,v that is not on the instrument. May be given several times.
     """
 
-    box: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    box: Annotated[Four | None, numbers("x0,y0,x1,y1 in pixels", 4)] = None
     point: Pixels = ()
     not_point: Pixels = ()
 
     def hints(self) -> Hints:
-        """Return the prompts as numbers; InputError if one is not valid."""
+        """Return the prompts."""
         from dvrk_cmaes.segment.segmentation import Hints
 
-        box = None
-        if self.box is not None:
-            left, top, right, bottom = parse_numbers("box", self.box, "x0,y0,x1,y1 in pixels", 4)
-            box = (left, top, right, bottom)
-        on, off = (
-            tuple(parse_pixel(name, text) for text in given)
-            for name, given in (("point", self.point), ("not-point", self.not_point))
-        )
-        return Hints(box, on, off)
+        return Hints(self.box, self.point, self.not_point)
 
 
 @options(group=SEGMENT)
@@ -493,17 +509,3 @@ def split_packages(texts: Iterable[str]) -> dict[str, Path]:
             raise InputError(f"--package-path: {name}: no such folder: {folder}")
         found[name] = Path(folder)
     return found
-
-
-def parse_pixel(option: str, text: str) -> tuple[float, float]:
-    """Parse a pixel ``u,v``; InputError, which names the option, if it is not one."""
-    u, v = parse_numbers(option, text, "a pixel u,v", 2)
-    return u, v
-
-
-def parse_numbers(option: str, text: str, expected: str, count: int) -> list[float]:
-    """Parse finite numbers with commas between them; InputError, which names the option, for others or not so many."""
-    numbers = [float(part) for part in text.split(",") if is_number(part) and math.isfinite(float(part))]
-    if len(numbers) != count or text.count(",") != count - 1:
-        raise InputError(f"--{option}: expected {expected}, got {text!r}")
-    return numbers

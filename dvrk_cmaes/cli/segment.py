@@ -181,21 +181,24 @@ def segment_file(
 
     import numpy as np
 
-    from dvrk_cmaes.camera import Rig, View
+    from dvrk_cmaes.camera import View
     from dvrk_cmaes.draw.track_overlay import draw_track
     from dvrk_cmaes.estimation.image_frame import segment_view
-    from dvrk_cmaes.frames.frame import read_frame
+    from dvrk_cmaes.frames.images import match_size
+    from dvrk_cmaes.frames.seen_view import SeenView
     from dvrk_cmaes.io.json_file import write_image
     from dvrk_cmaes.results.folder import mask_path, overlay_path
     from dvrk_cmaes.results.tracked import TrackView
     from dvrk_cmaes.segment.by_model import assumed_camera
     from dvrk_cmaes.segment.segmentation import GUESS
 
-    name, alone = frame.rpartition("/")[0], replace(files, ignore=None, problem=None)
-    known = None if rig is None else replace(rig.view(name) if name else rig.views[0], name=name)
-    view = read_frame(alone, Rig((known or View(name, assumed_camera(*files.size), np.eye(4)),))).views[0]
-    assert view.image is not None
+    name, image = frame.rpartition("/")[0], files.read_image()
+    assert image is not None
     started = perf_counter()
+    known = None if rig is None else rig.view(name) if name else rig.views[0]
+    known = known or View(name, assumed_camera(*image.shape[1::-1]), np.eye(4))
+    camera, _ = match_size(known.camera, image.shape[:2], "image", f"{files.image}: ")
+    view = SeenView.of(replace(known, name=name, camera=camera), None, image=image)
     found = segment_view(view, files, hints, body, settings, threads)
     seconds = perf_counter() - started
     if not found.mask.any():
@@ -204,7 +207,7 @@ def segment_file(
     written = {"mask": mask_path(here, frame), "overlay": overlay_path(here, frame)}
     status = "doubtful" if found.confidence < GUESS else "ok"
     text = "; ".join([f"confidence {found.confidence:.2f}", *found.notes])
-    shown = TrackView(view.image, found.mask, None, view.image.shape[1::-1])
+    shown = TrackView(image, found.mask, None, image.shape[1::-1])
     write_image(out / written["overlay"], draw_track([shown], frame=frame, status=status, reasons=[text]))
     for number, other in enumerate(found.others, start=2):
         written[f"mask_{number}"] = Path("others", f"{frame}-{number}.png")
