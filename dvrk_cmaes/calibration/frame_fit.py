@@ -10,7 +10,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.blocks import OutlineOfView, SeenBlock
 from dvrk_cmaes.calibration.masks_and_sizes import MARGIN_ALONE
-from dvrk_cmaes.config import EstimateConfig, OutlineConfig
+from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
 from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.joints.prior import split_readings
@@ -208,10 +208,8 @@ def fit_frame(
 
     Parameters
     ----------
-    views
-        The views that show the instrument, with the frame's evidence and renderers at full detail.
-    config
-        All settings.
+    views, config
+        The views that show the instrument, with the frame's evidence and renderers at full detail; all settings.
     expected
         The session's prediction from the readings, which is the prior.
     starts
@@ -230,7 +228,8 @@ def fit_frame(
     """
     limits = split_readings(views[0].renderer.body.instrument, {}, config)[0]
     terms = terms_of_frame(views, limits, config.refine.outline, expected)
-    fit, coverage, seen = _refined(views, config, terms, starts, own_estimate, margin, lengths, preset)
+    coverage = _coverage(views, config, preset, own_estimate, lengths, margin)
+    fit, seen = _refined(coverage, terms, starts, config, preset)
     own = own_estimate or OwnEstimate.drawn_as(views, fit.at, seen)
     count = coverage.silhouettes
     if preset.noise == "weighed":
@@ -261,26 +260,30 @@ def _outlines(
     return whole, _near(coverage.of_view(shown), alone, noises[shown : shown + 1], preset, blocks)
 
 
-def _refined(
+def _coverage(
     views: Sequence[FrameView],
     config: EstimateConfig,
-    terms: Sequence[Term],
-    starts: Sequence[Posed],
-    own_estimate: OwnEstimate | None,
-    margin: float,
-    lengths: Sequence[float],
     preset: FitPreset,
-) -> tuple[Fit, Coverage, list[Bool]]:
-    """Refine a frame from its starts; arguments as in `fit_frame`, ``terms`` are those besides the outlines.
+    own: OwnEstimate | None,
+    lengths: Sequence[float] = (),
+    margin: float = 0.0,
+) -> Coverage:
+    """Return the outlines' term, with the noise at the frame's own estimate, if there is one; as in `fit_frame`."""
+    outline = config.refine.outline
+    lines = outline.lines_per_pixel if preset.lines_per_pixel is None else preset.lines_per_pixel
+    outline = replace(outline, cauchy=config.session.cauchy, lines_per_pixel=lines)
+    sized = [SizedView(view, blur=outline.blur, margin=margin) for view in views]
+    if own is None:
+        return Coverage(sized, outline, correlations=lengths)
+    coverage = Coverage(sized, outline, correlations=own.lengths)
+    return coverage.changed(noise=coverage.noise_at(own.at) if own.residual is None else own.residual)
 
-    Returns the fit, the outlines' term, and the fit's silhouettes (H, W) in the views.
-    """
-    outline = _outline(config, preset)
-    lengths = lengths if own_estimate is None else own_estimate.lengths
-    coverage = _coverage(views, outline, lengths, margin)
-    if own_estimate is not None:
-        known = own_estimate.residual
-        coverage = coverage.changed(noise=coverage.noise_at(own_estimate.at) if known is None else known)
+
+def _refined(
+    coverage: Coverage, terms: Sequence[Term], starts: Sequence[Posed], config: EstimateConfig, preset: FitPreset
+) -> tuple[Fit, list[Bool]]:
+    """Refine a frame from its starts, by the outlines' term and others; returns the fit, and its silhouettes (H, W)."""
+    outline = config.refine.outline
     steps = preset.steps or Steps.of(outline, 1)
     steps = replace(steps, tolerance=max(steps.tolerance, outline.tolerance))
     selection = Selection(_SHARE, _GAP, least=_KEPT) if preset.steps is None else ALL
@@ -288,10 +291,8 @@ def _refined(
     if preset.noise == "drawn" or not all(one.outlined for one in fit.drawn):
         fit = _drawn_anew(fit, coverage)
     if preset.noise == "drawn":
-        seen = [view.silhouette(image) for view, image in zip(coverage.views, fit.drawn, strict=True)]
-    else:
-        seen = [view.silhouette(fit.at) for view in views]
-    return fit, coverage, seen
+        return fit, [view.silhouette(image) for view, image in zip(coverage.views, fit.drawn, strict=True)]
+    return fit, [sized.view.silhouette(fit.at) for sized in coverage.views]
 
 
 def _near(
@@ -334,23 +335,7 @@ def _stepped(fit: FrameFit, terms: Sequence[Term]) -> FrameFit:
 
 def with_noise(own_estimate: OwnEstimate, views: Sequence[FrameView], config: EstimateConfig) -> OwnEstimate:
     """Return a frame's own estimate with the noise of the residuals there; arguments as in `fit_frame`."""
-    coverage = _coverage(views, _outline(config, IN_SESSION), own_estimate.lengths)
-    return replace(own_estimate, residual=coverage.noise_at(own_estimate.at))
-
-
-def _outline(config: EstimateConfig, preset: FitPreset) -> OutlineConfig:
-    """Return the settings of the outlines' coverage."""
-    outline = config.refine.outline
-    lines = outline.lines_per_pixel if preset.lines_per_pixel is None else preset.lines_per_pixel
-    return replace(outline, cauchy=config.session.cauchy, lines_per_pixel=lines)
-
-
-def _coverage(
-    views: Sequence[FrameView], outline: OutlineConfig, lengths: Sequence[float] = (), margin: float = 0.0
-) -> Coverage:
-    """Return the coverage of a frame's views; arguments as in `fit_frame`."""
-    sized = [SizedView(view, blur=outline.blur, margin=margin) for view in views]
-    return Coverage(sized, outline, correlations=lengths)
+    return replace(own_estimate, residual=_coverage(views, config, IN_SESSION, own_estimate).noise)
 
 
 _SETTLED = 0.15  # standard deviations per parameter; a frame whose fit would move by less is not fitted again
