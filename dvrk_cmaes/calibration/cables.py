@@ -49,15 +49,15 @@ _ALIKE_SECONDS: Final = 1.0  # over which masks err alike, so that their frames 
 class CableSession:
     """What a session's N frames show of the errors of C joints, roll and those of the instrument.
 
-    ``names`` are the joints, ``readings`` (N, C) what was read, rad, NaN where nothing was. ``times`` (N,), s, and
-    ``play`` are None where the frames have no order. ``information`` (N, C, C) and ``vector`` (N, C) are the
+    ``names`` are the joints, ``readings`` (N, C) what was read, rad, NaN where nothing was. Where the frames have no
+    order, ``times`` (N,), s, are NaN, and ``play`` is None. ``information`` (N, C, C) and ``vector`` (N, C) are the
     observations of the errors beyond ``offsets`` (C,), whose prior has the standard deviations ``offset_std`` (C,).
     ``noise`` (C,) are the usual standard deviations from frame to frame, rad.
     """
 
     names: tuple[str, ...]
     readings: Float64
-    times: Float64 | None
+    times: Float64
     play: Play | None
     information: Float64
     vector: Float64
@@ -68,7 +68,7 @@ class CableSession:
     @property
     def order(self) -> Indices:
         """Indices of the frames in the order of time."""
-        return np.arange(len(self.readings)) if self.times is None else np.argsort(self.times, kind="stable")
+        return np.argsort(self.times, kind="stable")
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,8 +118,7 @@ def estimate_cables(solution: Solved, lag: SessionLag, usual: Deviations, *, las
     """
     model, times = solution.model, lag.seconds()
     names = ("roll", *model.names)
-    weights = solution.weights if times is None else solution.weights / frames_alike(times, _ALIKE_SECONDS)
-    information, vector = observe_errors(solution, weights)
+    information, vector = observe_errors(solution, solution.weights / frames_alike(times, _ALIKE_SECONDS))
     readings, prior = np.concatenate([model.outer[:, _ROLL:], model.joints], axis=1), cable_prior(names)
     play, offsets = lag.play(names, readings, prior.model.width), solution.calibration.offsets[1:]
     noise = np.concatenate([usual.outer[_ROLL:], usual.joints])
@@ -245,8 +244,7 @@ def _observations(session: CableSession, active: Bool) -> Observations:
     terms[:, np.arange(count), np.arange(count)] = 1.0
     for k, (joint, feature) in enumerate(own):
         terms[:, joint, count + k] = every[:, joint, feature]
-    times = np.arange(float(frames)) if session.times is None else session.times
-    order = session.order
+    times, order = np.where(np.isnan(session.times), np.arange(frames), session.times), session.order
     return Observations(times[order], terms[order], session.information[order], session.vector[order])
 
 

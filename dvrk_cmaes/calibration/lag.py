@@ -269,9 +269,9 @@ class SessionLag:
         """
         return self.series is not None and (self.series.unit == "s" or self.interpolable)
 
-    def seconds(self) -> Float64 | None:
-        """Return the times (N,), s, at which the arm was read as the images show it; None where they are not known."""
-        return self.unit_seconds * self.read_times(self.value) if self._timed else None
+    def seconds(self) -> Float64:
+        """Return the times (N,), s, at which the arm was read as the images show it; NaN where they are not known."""
+        return self.unit_seconds * self.read_times(self.value) if self._timed else np.full(len(self.times), np.nan)
 
     def play(self, names: Sequence[str], readings: Float64, width: Float64) -> Play | None:
         """Return how far C joints stay behind their readings (N, C); None where the times are not known.

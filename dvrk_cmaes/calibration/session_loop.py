@@ -117,7 +117,7 @@ def initialised(arm: ArmSession, *, may_cut: bool = True) -> ArmSession:
     consensus = find_consensus_at_any_roll(arm)
     check_arm(arm, consensus)
     if may_cut and arm.model.endoscope is None:
-        alike = float(np.median(frames_alike(arm.times, arm.setup.config.session.alike_seconds)))
+        alike = float(np.median(frames_alike(arm.lag.seconds(), arm.setup.config.session.alike_seconds)))
         pieces = find_pieces(arm, consensus, alike)
         if pieces is not None:
             arm = replace(arm, model=replace(arm.model, endoscope=pieces))

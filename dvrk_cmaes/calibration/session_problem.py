@@ -157,12 +157,6 @@ class ArmSession(ArmModes):
         return replace(self, remarks=(*self.remarks, *remarks), undetermined=(*self.undetermined, *undetermined))
 
     @property
-    def times(self) -> Float64:
-        """Times (N,) of the frames, s; NaN where unknown."""
-        read = self.lag.seconds()
-        return np.full(len(self.frames), np.nan) if read is None else read
-
-    @property
     def stated_settings(self) -> dict[str, Any]:
         """The settings as results state them, with the limits of the instrument's joints."""
         return {**self.setup.config.as_dict(), "instrument": self.setup.instrument.describe_limits(self.setup.arm)}
@@ -183,7 +177,7 @@ class ArmSession(ArmModes):
         counts = np.array([fit.explains_mask or keep_all for fit in self.fits], np.float64)
         terms = Quadratic.joined([(fit.seen or none) if tested else fit.alone for fit in self.fits]).times(counts)
         # others without an outline do not count
-        when = np.where(terms.information.any(axis=(1, 2)), self.times, np.nan)
+        when = np.where(terms.information.any(axis=(1, 2)), self.lag.seconds(), np.nan)
         shares = 1 / frames_alike(when, self.setup.config.session.alike_seconds)
         by_lag = self.lag.change_of_predictions(self.model, self.calibration)
         whole = self.calibration.alone().with_blocks(*self.tested, **self.seen) if tested else self.calibration

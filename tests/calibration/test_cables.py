@@ -29,7 +29,7 @@ def session(
     return CableSession(
         names=NAMES,
         readings=readings,
-        times=0.1 * np.arange(frames) if ordered else None,
+        times=0.1 * np.arange(frames) if ordered else np.full(frames, np.nan),
         play=play_of(readings, PRIOR.model.width) if ordered else None,
         information=information,
         vector=np.einsum("nij,nj->ni", information, seen),
@@ -79,7 +79,7 @@ def test_a_frame_has_no_part_in_its_own_correction(pulled: tuple[CableSession, n
 
 def test_without_order_only_coupling_is_used(pulled: tuple[CableSession, np.ndarray, CableFit]) -> None:
     made, errors, _ = pulled
-    fit, alone = fit_cables(replace(made, times=None, play=None), PRIOR)
+    fit, alone = fit_cables(replace(made, times=np.full(60, np.nan), play=None), PRIOR)
     assert fit.parts == alone.parts == ("coupling",)
     assert (left_of(errors, fit)[1:3] < np.std(errors, axis=0)[1:3]).all()
 
