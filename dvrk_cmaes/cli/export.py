@@ -66,11 +66,9 @@ class BagOptions:
     def read_tip(self) -> ToolTip:
         """Return the tool tip frame of the tool."""
         from dvrk_cmaes.export.ros_topics import ToolTip
-        from dvrk_cmaes.instrument.dvrk_description import read_tool
+        from dvrk_cmaes.instrument.dvrk_description import Tool, read_tool
 
-        if self.tool is None:
-            return ToolTip()
-        tool = read_tool(self.tool)
+        tool = Tool() if self.tool is None else read_tool(self.tool)
         return ToolTip(tool.wrist_length, tool.tooltip_offset)
 
 

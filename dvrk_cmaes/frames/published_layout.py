@@ -53,12 +53,7 @@ def find_published_frames(root: Path) -> tuple[FrameFiles, ...]:
 
 def _images(root: Path) -> Iterator[tuple[str, Path]]:
     """Yield the number and path of each image in a folder and in its subfolders."""
-    for folder in (root, *sorted(path for path in root.iterdir() if path.is_dir())):
-        try:
-            paths = sorted(folder.iterdir())
-        except OSError:
-            continue
-        for path in paths:
-            match = _IMAGE.fullmatch(path.name)
-            if match is not None:
-                yield match[1], path
+    for path in (*sorted(root.glob("*")), *sorted(root.glob("*/*"))):
+        match = _IMAGE.fullmatch(path.name)
+        if match is not None:
+            yield match[1], path

@@ -446,9 +446,8 @@ def _session_frames(
     if films and all(file.labels != "frame" for file in files):  # else the times are those of the rows
         times = {name: film.video.times[film.number] for name, film in films.items()}
     image_times = {name: times.get(name, time_in_name(name)) for name in names}
-    files, remarks = _meeting(files, image_times, read_as)
-    if apart:
-        remarks.append(f"paired in order with as many files {listed(like, 1)}: {' and '.join(apart)}")
+    files = [_by_frame(file, image_times, read_as) for file in files]
+    remarks = [f"paired in order with as many files {listed(like, 1)}: {' and '.join(apart)}"] if apart else []
     if unused := [*_unused(root, masks=not masks, joints=joints is not None and not files)]:
         remarks.append(f"not read: {listed(unused)}: session.toml can name masks and joints, or rename it")
     others: dict[str, Mapping[str, object]] = dict(zip(_TABLES, (times, tips, boxes), strict=False))
@@ -545,49 +544,37 @@ def _refuse_annotations(root: Path, folder: Path, inner: Sequence[Path]) -> None
         raise InputError(f"{path}: expected masks (PNG or JPEG, or masks.json), got {foreign(path.read_bytes())}")
 
 
-def _meeting(
-    files: Sequence[JointFile], image_times: Mapping[str, int | None], read_as: ReadAs
-) -> tuple[list[JointFile], list[str]]:
-    """Return files of readings by the names of the frames, and remarks where their rows seem to be of other images.
+def _by_frame(file: JointFile, image_times: Mapping[str, int | None], read_as: ReadAs) -> JointFile:
+    """Return a file of readings by the names of the frames, with a note where its rows seem to be of other images.
 
     Raises
     ------
     InputError
         No row has a frame's name, and no times say which row is a frame's.
     """
-    met: list[JointFile] = []
-    remarks: list[str] = []
-    frames = list(image_times)
-    for file in files:
-        if file.labels == "message" or (file.timed and any(time is not None for time in image_times.values())):
-            met.append(file)
-            continue
-        apart = file.labels == "number" and counted_apart(frames, file.names)
-        offset = (1 if number_of(frames[0]) == 0 else -1) if apart and read_as.offset is None else read_as.offset
-        if offset is not None:
-            met.append(file.by_number(frames, offset, read_as.step))
-            continue
-        labels = file.names
-        if file.labels == "frame":
-            rows = {row: name for name, row in paired(frames, labels).items() if row != name}
-            if rows:
-                file = replace(file, names={rows.get(row, row): place for row, place in file.names.items()})
-        common = [name for name in frames if (name if file.labels == "frame" else str(number_of(name))) in file.names]
-        if not common and len(frames) > 1:  # a single frame may lack readings
-            raise InputError(
-                f"{file.path}: none of {len(labels)} rows ({listed(labels, 2)}) has a frame's name "
-                f"({listed(frames, 2)}): say which row frame 0 has (--frame-offset), and how many rows a frame is from "
-                "the next one (--frame-step), or give the times of images (images.csv) and rows (a column time)"
-            )
-        numbers = [number_of(name) for name in frames]
-        counted = numbers in (list(range(len(frames))), list(range(1, len(frames) + 1)))
-        if counted and len(common) == len(frames) >= _COUNTED and len(labels) >= _MANY * len(frames):
-            remarks.append(
-                f"{WARNED[0]}: {len(frames)} frames have the names of the first of {len(labels)} rows of "
-                f"{Path(file.path).name}; if they are every N-th image, say --frame-offset 0 --frame-step N"
-            )
-        met.append(file)
-    return met, remarks
+    frames, labels = list(image_times), file.names
+    if file.labels == "message" or (file.timed and any(time is not None for time in image_times.values())):
+        return file
+    apart = file.labels == "number" and counted_apart(frames, labels)
+    offset = (1 if number_of(frames[0]) == 0 else -1) if apart and read_as.offset is None else read_as.offset
+    if offset is not None:
+        return file.by_number(frames, offset, read_as.step)
+    if file.labels == "frame":
+        rows = {row: name for name, row in paired(frames, labels).items() if row != name}
+        file = replace(file, names={rows.get(row, row): labels[row] for row in labels}) if rows else file
+    common = [name for name in frames if (name if file.labels == "frame" else str(number_of(name))) in file.names]
+    if not common and len(frames) > 1:  # a single frame may lack readings
+        raise InputError(
+            f"{file.path}: none of {len(labels)} rows ({listed(labels, 2)}) has a frame's name "
+            f"({listed(frames, 2)}): say which row frame 0 has (--frame-offset), and how many rows a frame is from "
+            "the next one (--frame-step), or give the times of images (images.csv) and rows (a column time)"
+        )
+    counted = [number_of(name) for name in frames] in ([*range(len(frames))], [*range(1, len(frames) + 1)])
+    if not counted or not len(common) == len(frames) >= _COUNTED or len(labels) < _MANY * len(frames):
+        return file
+    note = f"{len(frames)} frames have the names of the first of {len(labels)} rows of {Path(file.path).name}"
+    advice = "if they are every N-th image, say --frame-offset 0 --frame-step N"
+    return replace(file, notes=(*file.notes, f"{WARNED[0]}: {note}; {advice}"))
 
 
 def _joint_files(root: Path) -> list[Path]:

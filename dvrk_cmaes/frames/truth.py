@@ -80,14 +80,9 @@ def read_golden(path: str | Path) -> SessionTruth:
 
 def write_golden(path: str | Path, truth: SessionTruth) -> None:
     """Write a golden.json atomically; errors as in `dvrk_cmaes.io.output.write_bytes`."""
-    base = truth.camera_from_base
-    write_json(
-        path,
-        {
-            "camera_from_base": None if base is None else rounded_array(base),
-            "frames": {name: truth_entry(frame) for name, frame in truth.frames.items()},
-        },
-    )
+    base = None if truth.camera_from_base is None else rounded_array(truth.camera_from_base)
+    frames = {name: truth_entry(frame) for name, frame in truth.frames.items()}
+    write_json(path, {"camera_from_base": base, "frames": frames})
 
 
 def _truth(where: str, entry: _TruthEntry) -> FrameTruth:

@@ -6,6 +6,7 @@ arm joints ``yaw``, ``pitch`` and ``insertion``. Angles are in rad, lengths in m
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from msgspec import Meta, Struct, field
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64
+from dvrk_cmaes.instrument.arm import ROLL_OFFSET, TOOLTIP_OFFSET, WRIST_LENGTH
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.io.typed_document import Number, Transform, convert_document, refused
@@ -55,7 +57,7 @@ class _Description(Struct, rename={"dh": "DH"}):
 
 @dataclass(frozen=True, eq=False)
 class Tool:
-    """Kinematic parameters of a tool.
+    """Kinematic parameters of a tool, by default those of the Large Needle Driver 400006, without limits.
 
     Parameters
     ----------
@@ -71,11 +73,11 @@ class Tool:
         Pose of the tool tip frame in the wrist yaw frame, m.
     """
 
-    name: str
-    roll_offset: float
-    limits: Mapping[str, tuple[float, float]]
-    wrist_length: float
-    tooltip_offset: Float64
+    name: str = "400006"
+    roll_offset: float = ROLL_OFFSET
+    limits: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+    wrist_length: float = WRIST_LENGTH
+    tooltip_offset: Float64 = dataclasses.field(default_factory=TOOLTIP_OFFSET.copy)
 
 
 def read_tool(path: str | Path) -> Tool:

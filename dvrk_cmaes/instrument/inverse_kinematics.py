@@ -14,15 +14,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from dvrk_cmaes.geometry import Float64, inverse
-from dvrk_cmaes.instrument.arm import (
-    OUTER_JOINTS,
-    ROLL_OFFSET,
-    TOOLTIP_OFFSET,
-    WRIST_LENGTH,
-    Arm,
-    base_from_root,
-    outer_joints_at,
-)
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm, base_from_root, outer_joints_at
+from dvrk_cmaes.instrument.dvrk_description import Tool
 
 POSED_JOINTS: Final = (*OUTER_JOINTS, "wrist_pitch", "wrist_yaw")
 """Joints found from the pose of the tip, in the order of the chain; insertion in m, the others in rad."""
@@ -45,25 +38,17 @@ class JointSolution(NamedTuple):
     reasons: tuple[str, ...]
 
 
-def find_joints(
-    base_from_tip: Float64,
-    arm: Arm = "classic",
-    *,
-    roll_offset: float = ROLL_OFFSET,
-    wrist_length: float = WRIST_LENGTH,
-    tooltip_offset: Float64 = TOOLTIP_OFFSET,
-    limits: Mapping[str, tuple[float, float]] | None = None,
-) -> JointSolution:
+def find_joints(base_from_tip: Float64, arm: Arm = "classic", tool: Tool | None = None) -> JointSolution:
     """Find the joints at which ``base_from_root @ root_from_tip`` is each of the poses (N, 4, 4) of the tip, m.
 
     Of the two solutions, that with wrist yaw within a quarter turn is taken. Roll is within half a turn of zero for the
-    first pose, and continued over its wrap from each pose to the next, in the order of the rows. ``roll_offset``,
-    ``wrist_length`` (m) and ``tooltip_offset`` (4, 4) are those of the tool's description. ``limits`` are the lower and
-    upper limits by joint name (rad, m): poses beyond them are not reached. Poses with the RCM on the wrist yaw axis
-    have no wrist yaw and are not reached either.
+    first pose, and continued over its wrap from each pose to the next, in the order of the rows. Poses beyond the
+    limits of the ``tool`` are not reached. Poses with the RCM on the wrist yaw axis have no wrist yaw and are not
+    reached either.
     """
+    tool = tool or Tool()
     joints = np.full((len(base_from_tip), len(POSED_JOINTS)), np.nan)
-    base_from_yaw = base_from_tip @ inverse(tooltip_offset)
+    base_from_yaw = base_from_tip @ inverse(tool.tooltip_offset)
     x, y, origin = (base_from_yaw[:, :3, k] for k in (0, 1, 3))
     along_x, along_y = (origin * x).sum(axis=1), (origin * y).sum(axis=1)
     known = np.hypot(along_x, along_y) > _SINGULAR
@@ -72,19 +57,19 @@ def find_joints(
     cosine, sine = np.sin(yaw)[:, None], -np.cos(yaw)[:, None]  # of yaw - pi / 2
     forward = cosine * x - sine * y  # from the wrist pitch axis to the wrist yaw axis
     pitch_axis = -(sine * x + cosine * y)
-    root_origin = origin - wrist_length * forward
+    root_origin = origin - tool.wrist_length * forward
     depth = np.linalg.norm(root_origin, axis=1)
     known &= depth > _SINGULAR
     shaft = root_origin / np.where(known, depth, 1.0)[:, None]
     side = np.cross(pitch_axis, shaft)  # the root's x axis; its y axis is the pitch axis
-    joints[:, :3] = outer_joints_at(root_origin, arm, roll_offset=roll_offset)
+    joints[:, :3] = outer_joints_at(root_origin, arm, roll_offset=tool.roll_offset)
     unrolled = base_from_root(np.concatenate([joints[:, :3], np.zeros((len(joints), 1))], axis=1), arm)
     joints[:, 3] = np.arctan2((unrolled[:, :3, 1] * side).sum(axis=1), (unrolled[:, :3, 0] * side).sum(axis=1))
     joints[:, 4] = np.arctan2((forward * side).sum(axis=1), (forward * shaft).sum(axis=1))
     joints[:, 5] = yaw
     joints[~known] = np.nan
     joints[known, 3] = np.unwrap(joints[known, 3])
-    reasons = tuple(_reason(row, bool(one), limits or {}) for row, one in zip(joints, known, strict=True))
+    reasons = tuple(_reason(row, bool(one), tool.limits) for row, one in zip(joints, known, strict=True))
     joints[[bool(reason) for reason in reasons]] = np.nan
     return JointSolution(joints, reasons)
 

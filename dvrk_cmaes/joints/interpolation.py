@@ -216,9 +216,7 @@ class Sparseness:
         off = float(np.hypot(*error[:2])) * depth + float(error[_INSERTION]) + _LEVER * float(error[_ROLL])
         change = np.abs(steps).max(axis=0)
         turn = float(np.delete(change, _INSERTION).max())
-        moves = (
-            f"the insertion changes by {1e3 * change[_INSERTION]:.0f} mm"
-            if error[_INSERTION] > off / 2
-            else f"the arm turns {np.degrees(turn):.0f} deg"
-        )
+        moves = f"the arm turns {np.degrees(turn):.0f} deg"
+        if error[_INSERTION] > off / 2:
+            moves = f"the insertion changes by {1e3 * change[_INSERTION]:.0f} mm"
         return cls(error, off, f"every {1e3 * spacing:.0f} ms, {moves} between them")

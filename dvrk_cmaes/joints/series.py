@@ -173,12 +173,8 @@ class ReadingSeries:
             Times of the images by frame, ns, or None.
         """
         named = [file for file in files if file.labels == "frame"]
-        stamps = {
-            name: next((of_row for file in named if (of_row := file.time(name)) is not None), None)
-            if time is None
-            else time
-            for name, time in images.items()
-        }
+        of_row = {name: next((t for file in named if (t := file.time(name)) is not None), None) for name in images}
+        stamps = {name: of_row[name] if time is None else time for name, time in images.items()}
         known = {name: time for name, time in stamps.items() if time is not None}
         of_rows = [file.times[file.times != NO_TIME] for file in named]
         every = np.unique(np.concatenate([np.array([*known.values()], np.int64), *of_rows]))

@@ -8,6 +8,7 @@ tables; it is an argument of `read_pose_table`.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -15,7 +16,7 @@ import numpy as np
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64, inverse, transform
-from dvrk_cmaes.instrument.arm import ROLL_OFFSET, TOOLTIP_OFFSET, WRIST_LENGTH, Arm
+from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.instrument.dvrk_description import Tool
 from dvrk_cmaes.instrument.inverse_kinematics import POSED_JOINTS, find_joints
 from dvrk_cmaes.io.csv_file import number_in, read_csv_rows
@@ -74,17 +75,10 @@ def joints_of_poses(
     path: Path, poses: Float64, point: PosePoint = "tip", arm: Arm = "classic", tool: Tool | None = None
 ) -> tuple[Float64, str]:
     """Find the joints (N, 6) of poses (N, 4, 4) in the arm's base, and say how; arguments as of `read_pose_table`."""
-    offset = np.array(TOOLTIP_OFFSET if tool is None else tool.tooltip_offset)
+    tool = tool or Tool()
     if point == "wrist-yaw":
-        offset[:3, 3] = 0.0
-    found = find_joints(
-        poses,
-        arm,
-        roll_offset=ROLL_OFFSET if tool is None else tool.roll_offset,
-        wrist_length=WRIST_LENGTH if tool is None else tool.wrist_length,
-        tooltip_offset=offset,
-        limits=None if tool is None else tool.limits,
-    )
+        tool = replace(tool, tooltip_offset=transform(tool.tooltip_offset[:3, :3], np.zeros(3)))
+    found = find_joints(poses, arm, tool)
     if all(found.reasons):
         raise InputError(f"{path}: expected poses that a {arm} arm reaches, got none, e.g. {found.reasons[0]}")
     said = f"inverse kinematics of poses of the {point}, {arm} arm"

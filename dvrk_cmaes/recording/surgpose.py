@@ -145,10 +145,8 @@ def open_surgpose(path: Path, asked: Asked) -> Recording:
         readings += jaw
     else:
         (readings, of_jaw), source = asked.given_readings(), ""
-    if camera is None:
-        lens, of_camera = read_stereo_ini(path / _CALIBRATION, side)
-    else:
-        lens, of_camera = read_camera_bytes(camera), ()
+    stereo = path / _CALIBRATION
+    lens, of_camera = read_stereo_ini(stereo, side) if camera is None else (read_camera_bytes(camera), ())
     kept, of_labels = _labels(path, side, chosen)
     video = Video(path / _VIDEOS / f"{side}_video.mp4")
     video.check_rate(_RATE, "which labels and readings count")

@@ -6,6 +6,7 @@ A folder with the videos of a stereo endoscope has one for each eye, named left 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -95,11 +96,8 @@ def open_stereo_videos(path: Path, asked: Asked) -> Recording:
 
 def _videos(path: Path, side: Side) -> list[Path]:
     """List the videos whose names have a side's name as a word, e.g. ``left``, ``left_eye`` or ``PSM1-left``."""
-    return [
-        file
-        for file in sorted(path.iterdir())
-        if file.suffix.lower() in SUFFIXES and side in file.stem.lower().replace("-", "_").replace(".", "_").split("_")
-    ]
+    videos = (file for file in sorted(path.iterdir()) if file.suffix.lower() in SUFFIXES)
+    return [file for file in videos if side in re.split(r"[-._]", file.stem.lower())]
 
 
 def images_of(

@@ -186,15 +186,10 @@ def _with_colours(solution: RecordedSolution, found: Mapping[int, FrameData]) ->
     """
     recorded, work = solution.recorded, solution.work
     predicted, _ = predict(recorded, solution.calibration, work.instrument.joint_names)
-    tasks = [
-        (
-            partial(read_seen, recorded.files[i], solution.rig),
-            predicted.at[i],
-            {view.name: view.mask for view in one.views if view.given},
-        )
-        for i, one in found.items()
-        if recorded.files[i].has_image
-    ]
+    shown = [i for i in found if recorded.files[i].has_image]
+    masks = [{view.name: view.mask for view in found[i].views if view.given} for i in shown]
+    reads = [partial(read_seen, recorded.files[i], solution.rig) for i in shown]
+    tasks = [(read, predicted.at[i], own) for i, read, own in zip(shown, reads, masks, strict=True)]
     learned = work.run(learn_task, tasks)
     of_views = {view: [of_frame[view] for of_frame in learned if view in of_frame] for view in recorded.rig.names}
     colours = {view: pooled_colours(models) for view, models in of_views.items() if models}

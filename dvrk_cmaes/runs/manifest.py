@@ -126,17 +126,14 @@ def manifest_of(arm: ArmInSession, frames: FrameParts) -> Manifest:
     instrument, method = arm.body.instrument, arm.method
     segment, views = method.segment or SegmentSettings(), arm.session.rig.views
     backgrounds = {view: digest_of(background) for view, background in sorted(segment.backgrounds.items())}
+    weights = None if segment.weights is None else str(segment.weights)
     return {
         "version": __version__,
         "instrument": {"name": instrument.name, "digest": digest_of(instrument)},
         "arm": method.arm,
         "cameras": digest_of([replace(view, camera=replace(view.camera, remarks=())) for view in views]),
         "config": method.config.as_dict(),
-        "segment": {
-            "model": segment.model,
-            "weights": None if segment.weights is None else str(segment.weights),
-            "backgrounds": backgrounds,
-        },
+        "segment": {"model": segment.model, "weights": weights, "backgrounds": backgrounds},
         "calibration": None if method.session is None else digest_of(json_text(method.session.to_dict())),
         "session": os.path.abspath(arm.session.folder),
         "warnings": list(arm.session.warnings),

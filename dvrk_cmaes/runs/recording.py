@@ -201,12 +201,10 @@ class RecordedSolution:
     def fits(self, predicted: Prediction) -> list[StoredFit | None]:
         """Fit every frame with the prediction as its prior."""
         read = partial(read_seen, rig=self.rig, images=self.colours is not None)
-        frames: list[PredictedFrame] = [
-            (partial(read, own), Expected(predicted.at[i], information))
-            for i, (own, information) in enumerate(
-                zip(self.recorded.files, np.linalg.inv(predicted.spread), strict=True)
-            )
-        ]
+        information = np.linalg.inv(predicted.spread)
+        expected = [Expected(predicted.at[i], own) for i, own in enumerate(information)]
+        reads = [partial(read, own) for own in self.recorded.files]
+        frames: list[PredictedFrame] = list(zip(reads, expected, strict=True))
         blocks = [tuple(frames[k : k + BLOCK]) for k in range(0, len(frames), BLOCK)]
         fit = partial(fit_block, margin=self.calibration.margin_px, colours=self.colours)
         return [fitted for block in self.work.run(fit, blocks) for fitted in block]
@@ -236,14 +234,8 @@ def follow_window(solution: RecordedSolution) -> list[TrackResult]:
     results = []
     for i, (one, image) in enumerate(zip(fits, images, strict=True)):
         judged = nothing if one is None else next(of_shown)
-        doubts = [
-            *judged.reasons,
-            *reasons(
-                readings_missing(bool(predicted.outer_read[i]), still=False, source=source),
-                readings_too_sparse(sparse[i]),
-                readings_frozen(frozen[i]),
-            ),
-        ]
+        missing = readings_missing(bool(predicted.outer_read[i]), still=False, source=source)
+        doubts = [*judged.reasons, *reasons(missing, readings_too_sparse(sparse[i]), readings_frozen(frozen[i]))]
         seconds = 0.0 if one is None else one[1].seconds
         results.append(window.result(image, found[i], judged, doubts, seconds=seconds, remarks=recorded.rig.remarks))
     return results

@@ -43,6 +43,7 @@ def summarize(
     values, (done, seconds) = list(results.values()), ran
     timing = {"frames": done, "seconds": round(seconds, 3), "frames_per_second": round(done / (seconds or 1.0), 4)}
     statuses = Counter(result.status for result in values)
+    counts = {status: statuses[status] for status in get_args(Status)}
     names = tuple(dict.fromkeys(name for result in values for name in result.joints))
     return {
         "schema": SCHEMA,
@@ -50,11 +51,7 @@ def summarize(
         "warnings": manifest.get("warnings", []),
         "version": manifest["version"],
         "instrument": manifest["instrument"]["name"],
-        "counts": {
-            "frames": len(values) + len(missing),
-            **{status: statuses[status] for status in get_args(Status)},
-            "missing": len(missing),
-        },
+        "counts": {"frames": len(values) + len(missing), **counts, "missing": len(missing)},
         "medians": _medians(values),
         "frames": {name: {"status": r.status, "reasons": list(r.reasons)} for name, r in results.items()},
         "missing": missing,
