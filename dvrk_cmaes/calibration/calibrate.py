@@ -18,6 +18,7 @@ from dvrk_cmaes.calibration.cables import SessionCables
 from dvrk_cmaes.calibration.document import Agreement, SessionCalibration
 from dvrk_cmaes.calibration.masks_and_sizes import MARGIN, covariance_of_margin
 from dvrk_cmaes.calibration.model import SessionModel, outer_readings
+from dvrk_cmaes.calibration.session_camera import rotations_of_session, turns_of
 from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual_insertion
 from dvrk_cmaes.calibration.session_endoscope import UNDETERMINED_ROTATION, SessionEndoscope
 from dvrk_cmaes.calibration.session_frame import (
@@ -31,7 +32,6 @@ from dvrk_cmaes.calibration.session_frame import (
     report_task,
 )
 from dvrk_cmaes.calibration.session_problem import LEAST_FRAMES, ArmSession, ArmSetup
-from dvrk_cmaes.calibration.session_rig import rotations_of_session, turns_of
 from dvrk_cmaes.calibration.solve import leave_one_out
 from dvrk_cmaes.calibration.together import Begun, Outcome, solved_alone
 from dvrk_cmaes.config import EstimateConfig, SessionConfig

@@ -21,10 +21,9 @@ from dvrk_cmaes.calibration.model import (
     SessionModel,
     ecm_readings,
 )
-from dvrk_cmaes.calibration.session_camera import CAMERA
+from dvrk_cmaes.calibration.session_camera import CAMERA, turns_of
 from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
 from dvrk_cmaes.calibration.session_frame import changed
-from dvrk_cmaes.calibration.session_rig import turns_of
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.rig import V, ViewDocument, turned_views
 from dvrk_cmaes.config import CameraConfig, ReadingSigmas, __version__

@@ -35,11 +35,11 @@ from dvrk_cmaes.calibration.session_camera import (
     camera_undetermined,
     describe_found,
     places_of,
+    turns_of,
 )
 from dvrk_cmaes.calibration.session_endoscope import LEAST_PIECE, describe_pieces, find_hand_eye, find_pieces
 from dvrk_cmaes.calibration.session_frame import SessionFrame, fit_task, gather_task
 from dvrk_cmaes.calibration.session_problem import LEAST_FRAMES, Arms, ArmSession, ArmSetup
-from dvrk_cmaes.calibration.session_rig import turns_of
 from dvrk_cmaes.calibration.solve import Solved, solve_arms, solve_with_modes, solve_with_variances
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed

@@ -8,7 +8,7 @@ from typing import Any, Final, get_args
 
 import numpy as np
 
-from dvrk_cmaes.calibration.session_rig import rotations_of_views
+from dvrk_cmaes.calibration.session_camera import rotations_of_views
 from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.joints.prior import commanded_in
 from dvrk_cmaes.pose.doubts import reasons, rig_turned

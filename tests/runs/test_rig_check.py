@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dvrk_cmaes import Result
-from dvrk_cmaes.calibration.session_rig import pooled_rotation
+from dvrk_cmaes.calibration.session_camera import pooled_rotation
 from dvrk_cmaes.results.parts import Quality, ViewCheck
 from dvrk_cmaes.runs.summary import rig_doubts
 
