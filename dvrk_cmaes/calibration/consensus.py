@@ -125,7 +125,10 @@ def find_consensus(
 
 def agreement(arm: ArmModes, calibration: Calibration) -> Consensus:
     """Return what the frames of an arm say of a calibration, whose errors are not counted."""
-    return _Hypotheses(arm, float(calibration.offsets[1])).against(calibration)
+    hypotheses = _Hypotheses(arm, float(calibration.offsets[1]))
+    expected = arm.model.predict(arm.model.calibration(calibration.camera_from_base, calibration.offsets))
+    changes = arm.modes.minus(_for_each_mode(expected))
+    return Consensus(calibration, *hypotheses.judged(hypotheses.of_readings, changes, np.arange(len(arm.counts))))
 
 
 def find_consensus_at_any_roll(arm: ArmModes) -> Consensus:
@@ -184,8 +187,8 @@ class _Hypotheses:
         self._read = model.predict(same)  # as seen from the base
         self._relative = model.camera_from_base(model.calibration(np.eye(4), self._offsets))
         self._root_from_base = inverse(self._read.pose)
-        self._of_readings = model.covariance(same)
-        self._of_readings[:, 5, 5] += model.offset_std[1] ** 2
+        self.of_readings = model.covariance(same)
+        self.of_readings[:, 5, 5] += model.offset_std[1] ** 2
 
     def _calibrations(self, sources: Indices) -> tuple[Float64, Float64]:
         """Return the bases (H, 4, 4) and offsets (H, 2 + J) of the calibrations that predict modes of frames.
@@ -217,10 +220,10 @@ class _Hypotheses:
         expected = Posed(pose, read.joints + offsets[:, None, 2:])
         dimension = 6 + expected.joints.shape[-1]
         # covariance of the hypothesis: of the mode that it was made from, and of that frame's readings
-        own = self._arm.covariances[frame] + self._of_readings[frame]
+        own = self._arm.covariances[frame] + self.of_readings[frame]
         transport = np.tile(np.eye(dimension), (len(sources), len(test_frames), 1, 1))
         transport[..., :6, :6] = adjoint(self._root_from_base[test_frames] @ self._read.pose[frame][:, None])
-        predicted = transport @ own[:, None] @ np.swapaxes(transport, -1, -2) + self._of_readings[test_frames]
+        predicted = transport @ own[:, None] @ np.swapaxes(transport, -1, -2) + self.of_readings[test_frames]
         if (endoscope := self._model.endoscope) is not None:
             for base, source, covariance in zip(bases, frame.tolist(), predicted, strict=True):
                 of_both = endoscope.subset(np.append(test_frames, source))
@@ -231,15 +234,9 @@ class _Hypotheses:
                 moves = adjoint(self._root_from_base[test_frames]) @ moves
                 covariance[:, :6, :6] += moves @ np.swapaxes(moves, 1, 2)
         changes = self._arm.modes[test_frames].minus(_for_each_mode(expected))
-        return self._judged(predicted, changes, test_frames)
+        return self.judged(predicted, changes, test_frames)
 
-    def against(self, calibration: Calibration) -> Consensus:
-        """Test a calibration that is known on all frames."""
-        expected = self._model.predict(self._model.calibration(calibration.camera_from_base, calibration.offsets))
-        changes = self._arm.modes.minus(_for_each_mode(expected))
-        return Consensus(calibration, *self._judged(self._of_readings, changes, np.arange(len(self._of_readings))))
-
-    def _judged(self, predicted: Float64, changes: Float64, test_frames: Indices) -> tuple[Float64, Float64]:
+    def judged(self, predicted: Float64, changes: Float64, test_frames: Indices) -> tuple[Float64, Float64]:
         """Judge calibrations by the changes (..., V, M, D) of modes from what they predict.
 
         ``predicted`` (..., V, D, D) is the covariance of the prediction. Returns misfit and cost of the most likely

@@ -57,13 +57,9 @@ class OwnEstimate:
         return tuple(noise.length for noise in self.noises)
 
     @classmethod
-    def of(cls, views: Sequence[FrameView], at: Posed) -> OwnEstimate:
-        """Measure an estimate in the views that show the instrument."""
-        return cls.drawn_as(views, at, [view.silhouette(at) for view in views])
-
-    @classmethod
-    def drawn_as(cls, views: Sequence[FrameView], at: Posed, drawn: Sequence[Bool]) -> OwnEstimate:
-        """Measure an estimate whose silhouettes (H, W) in the views have been drawn."""
+    def of(cls, views: Sequence[FrameView], at: Posed, drawn: Sequence[Bool] = ()) -> OwnEstimate:
+        """Measure an estimate in the views that show the instrument, where its silhouettes (H, W) are ``drawn``."""
+        drawn = drawn or [view.silhouette(at) for view in views]
         noises = [measure_noise(view.evidence.contour, seen) for view, seen in zip(views, drawn, strict=True)]
         return cls(at, tuple(noises), overlap(views, drawn))
 
@@ -230,7 +226,7 @@ def fit_frame(
     terms = terms_of_frame(views, limits, config.refine.outline, expected)
     coverage = _coverage(views, config, preset, own_estimate, lengths, margin)
     fit, seen = _refined(coverage, terms, starts, config, preset)
-    own = own_estimate or OwnEstimate.drawn_as(views, fit.at, seen)
+    own = own_estimate or OwnEstimate.of(views, fit.at, seen)
     count = coverage.silhouettes
     if preset.noise == "weighed":
         coverage = coverage.changed(correlations=own.lengths)
@@ -252,12 +248,11 @@ def _outlines(
     shown: int | None,
 ) -> tuple[Quadratic, Quadratic | None]:
     """Return the terms of the outlines near a drawn fit, of all views and of the one that shows blocks."""
-    preset = replace(preset, as_seen=config.session.shadows if preset.as_seen is None else preset.as_seen)
-    whole = _near(coverage, fit, noises, preset, blocks if len(noises) == 1 else blocks[:1])
+    whole = _near(coverage, fit, noises, preset, config, blocks if len(noises) == 1 else blocks[:1])
     if shown is None or len(noises) == 1:
         return whole, None if shown is None else whole
     alone = replace(fit, drawn=(fit.drawn[shown],))
-    return whole, _near(coverage.of_view(shown), alone, noises[shown : shown + 1], preset, blocks)
+    return whole, _near(coverage.of_view(shown), alone, noises[shown : shown + 1], preset, config, blocks)
 
 
 def _coverage(
@@ -300,6 +295,7 @@ def _near(
     fit: Fit,
     noises: Sequence[OutlineNoise],
     preset: FitPreset,
+    config: EstimateConfig,
     blocks: Sequence[SeenBlock],
 ) -> Quadratic:
     """Return the outlines' terms near a drawn fit, in its changes and those of blocks, as in `FrameFit`.
@@ -311,7 +307,7 @@ def _near(
         drawn = OutlineOfView(coverage.views[number], points, fit.drawn_at)
         return np.column_stack([block.effect(drawn) for block in blocks])
 
-    stride, as_seen = preset.stride, bool(preset.as_seen)
+    stride, as_seen = preset.stride, config.session.shadows if preset.as_seen is None else preset.as_seen
     whole = coverage.near_with_sides(fit.drawn_at, noises, columns, fit.drawn, stride=stride, as_seen=as_seen)
     return without_last(whole, np.eye(SIDES * len(coverage.views)) / preset.sides**2)
 

@@ -323,12 +323,10 @@ class SessionLag:
         if not self.interpolable:
             return none
         series = self.readings
-        found = lag_taken_out(self.lag, self.curve, series.unit, _UNKNOWN * series.interval)
-        step = 0.0 if found is None else found[1]
+        _, step = lag_taken_out(self.lag, self.curve, series.unit, _UNKNOWN * series.interval) or (0.0, 0.0)
         if self.lag is None:
             step = max(_UNDETERMINED * series.interval, step)
-        ends = [self.model_at(model, self.value + by) for by in (step, -step)]
-        later, earlier = (end.predict(calibration) for end in ends)
+        later, earlier = (self.model_at(model, self.value + by).predict(calibration) for by in (step, -step))
         change = later.minus(earlier) / 2
         return np.where(np.isnan(change).any(axis=1, keepdims=True), none, change)
 

@@ -146,9 +146,8 @@ class SessionModel:
     def calibration(self, camera_from_base: Float64, offsets: Float64) -> Calibration:
         """Return that of a base (4, 4), m, and offsets (2 + J,); an endoscope has the values of its start."""
         found = Calibration((Base(), Offsets(self.offset_std)), {BASE: camera_from_base, OFFSETS: offsets})
-        return (
-            found if self.endoscope is None else found.with_blocks(self.endoscope.block, endoscope=self.endoscope.start)
-        )
+        moves = self.endoscope
+        return found if moves is None else found.with_blocks(moves.block, endoscope=moves.start)
 
     def camera_from_base(self, calibration: Calibration) -> Float64:
         """Compute the base (N, 4, 4) in each frame's camera."""

@@ -69,16 +69,13 @@ def doubts_of(
     camera = calibration.blocks.get("camera")
     by_file, unusual = camera is None or not camera.applied, unusual_insertion(calibration, settings)
     return (
-        *reasons(
-            predicts_badly(calibration, LARGEST_PREDICTED_PX * pixel_scale),
-            few_frames_agree(calibration),
-            few_frames_read(calibration),
-        ),
+        *reasons(predicts_badly(calibration, LARGEST_PREDICTED_PX * pixel_scale)),
+        *few_frames(calibration),
         *(block.doubt for block in calibration.blocks.values() if block.doubt and not block.applied),
         *known_mistakes(calibration.remarks if by_file else ()),
         *([unusual] if unusual and abs(calibration.offsets["insertion"]) > _LARGEST_INSERTION else []),
         *offsets_beyond_cables(calibration),
-        *reasons(f"lag between images and readings: {without_lag}" if without_lag and not calibration.lag else None),
+        *([f"lag between images and readings: {without_lag}"] if without_lag and not calibration.lag else []),
         *reasons(ends_missing(ends_lacking)),
     )
 
@@ -95,33 +92,23 @@ def predicts_badly(calibration: SessionCalibration, most_px: float) -> str | Non
     return None
 
 
-def few_frames_agree(calibration: SessionCalibration) -> str | None:
-    """Judge the share of the frames that agree on the base."""
-    agreeing = len(calibration.frames)
-    solved = agreeing + _left_out(calibration, DISAGREES)
+def few_frames(calibration: SessionCalibration) -> list[str]:
+    """Judge the shares of the frames that agree on the base, and that have readings once the lag is taken out."""
+    agreeing, left_out, found = len(calibration.frames), calibration.left_out.values(), list[str]()
+    starts = DISAGREES, NO_READINGS_AT_LAG
+    off, without = (sum(reason.startswith(start) for reason in left_out) for start in starts)
+    solved, frames = agreeing + off, agreeing + off + without
     if agreeing <= _TRUSTED_SHARE * solved:
-        return (
+        found.append(
             f"only {agreeing} of {solved} frames agree on where the arm's base is: the others' masks or the readings "
             "are wrong, or these few are"
         )
-    return None
-
-
-def few_frames_read(calibration: SessionCalibration) -> str | None:
-    """Judge the share of the frames that have readings once the lag is taken out."""
-    without = _left_out(calibration, NO_READINGS_AT_LAG)
-    frames = len(calibration.frames) + _left_out(calibration, DISAGREES) + without
-    if frames - without <= _TRUSTED_SHARE * frames:
-        return (
+    if solved <= _TRUSTED_SHARE * frames:
+        found.append(
             f"the lag leaves {without} of {frames} frames without readings: it is wrong, or rows of readings are "
             "missing"
         )
-    return None
-
-
-def _left_out(calibration: SessionCalibration, start: str) -> int:
-    """Count the frames that are left out for a reason that begins so."""
-    return sum(reason.startswith(start) for reason in calibration.left_out.values())
+    return found
 
 
 def ends_missing(missing: Sequence[bool]) -> str | None:
