@@ -127,7 +127,7 @@ SOLVED_AT: Final = (4, 8, 12, 16, 20, 24, 36, 48, MOST_KEYFRAMES)
 NEW_AT_MOST: Final = 20
 """Of the largest number of keyframes, those that are new since they were last solved, at which they are solved anew."""
 RELIABLE: Final = 32
-"""Keyframes, from which on their solution is used although they leave the lag open, and its errors count as shared."""
+"""Keyframes, from which on the errors of their solution count as shared."""
 _NEW_THAT_DISAGREE = 5  # keyframes, of the largest number, with which they are solved anew if images disagree
 
 _LEAST_APART = 0.15  # of `distance_units`, between two keyframes

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from dvrk_cmaes.calibration.document import CALIBRATION_EXPECTED, SessionCalibration, check_made_for
-from dvrk_cmaes.calibration.prediction import FoundLag, lag_and_std, lag_of
+from dvrk_cmaes.calibration.prediction import FoundLag, lag_of
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -42,7 +42,6 @@ from dvrk_cmaes.track.view_segmenter import Images, Masks, Seen, ViewSegmenter
 
 _GIVEN_LAG_STD = 1e-6  # s, of a lag that is given
 _BY_THE_BASE = 1.3  # of the error of the tips that is ok: the most that a first solution may leave, before any image
-_LAG_STD = 0.055  # s, largest standard deviation of a lag that keyframes determine
 
 
 class Tracker:
@@ -241,21 +240,12 @@ class Tracker:
         check_type("use", solution, Solution, "what Tracker.solve returns")
         with self._turn:
             calibration = self._keyframes.take(solution)
-            if calibration is None or (self._following is None and not self._is_useful(solution, calibration)):
+            most = self._given.config.trust.tip_mm * _BY_THE_BASE  # else from image to image
+            if calibration is None or (self._following is None and solution.tip_mm > most):
                 return False
             self._own = True
             self._following = self._by(calibration)
             return True
-
-    def _is_useful(self, solution: Solution, calibration: SessionCalibration) -> bool:
-        """Whether images are to be followed by a first solution, and not any longer from image to image.
-
-        Not by one whose error is too large, nor by few keyframes that do not determine the lag: the arm may have been
-        slow.
-        """
-        _, std = lag_and_std(calibration, self._given.config.track.lag_std)
-        known = std <= _LAG_STD or solution.keyframes >= RELIABLE
-        return known and solution.tip_mm <= self._given.config.trust.tip_mm * _BY_THE_BASE
 
     def start(self, time: float, result: Result, image: Images | None = None) -> None:
         """Start, or start again, from the result of a single frame taken at a time, s.

@@ -71,9 +71,9 @@ def solved(world: MovingWorld) -> tuple[Tracker, dict[int, Solution], list[Track
             solution = problem.solve(world.body)
             solutions[solution.keyframes] = solution
             used = tracker.use(solution)
-            assert used == (solution.keyframes == 12)
+            assert used or solution.tip_mm > CONFIG.trust.tip_mm
             assert not tracker.solution_due
-            if used:
+            if solution.keyframes == 12:
                 break
     return tracker, solutions, results
 

@@ -231,7 +231,7 @@ def test_step_does_not_wait_for_a_search_in_the_background(world: MovingWorld) -
     tracker, results = Tracker(world.camera, world.body, background=True, lag=0.0), list[TrackResult]()
     for k in range(30):
         results += world.follow(tracker, frames=range(k, k + 1))
-        time.sleep(0.05)
+        time.sleep(0.2)
         if results[-1].camera_from_root is not None:
             break
     assert len(results) > 1
