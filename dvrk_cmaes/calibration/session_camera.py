@@ -146,8 +146,12 @@ def stated_camera(change: Float64, covariance: Float64, file: Float64, camera: C
     Where it does not and was not ``applied``, the file counts as a measurement with the standard deviations ``file``
     (3,), as of `file_deviations`.
     """
-    contradicts = distance(change, covariance, file) > _CONTRADICTION
+    contradicts, alone = distance(change, covariance, file) > _CONTRADICTION, ""
     if not (contradicts or applied):
+        least = np.sqrt(_CONTRADICTION * (np.diag(covariance) + file**2))
+        right, down = camera.fx * least[1:]
+        size = f"{100 * least[0]:.0f} %, {right:.0f} px and {down:.0f} px"
+        alone = f"; smaller errors of the file than {size} are not seen in these frames"
         change, covariance = with_prior(change, covariance, file)
     std = np.sqrt(np.diag(covariance))
     scale, (right, down) = np.expm1(change[0]), camera.fx * change[1:]
@@ -164,7 +168,7 @@ def stated_camera(change: Float64, covariance: Float64, file: Float64, camera: C
         )
     then = "which is used" if applied else f"likely causes: {_CAUSES}"
     doubt = f"the camera file is contradicted: these frames fit {' and '.join(parts)}; {then}" if contradicts else ""
-    return FoundBlock.of(TESTED, (change, std, file), _in_words(change, std, camera), doubt, applied=applied)
+    return FoundBlock.of(TESTED, (change, std, file), _in_words(change, std, camera) + alone, doubt, applied=applied)
 
 
 def _in_words(change: Float64, std: Float64, camera: Camera) -> str:
