@@ -251,13 +251,11 @@ class FoundBlock(Document):
 class BlockCheck:
     """What a session's frames show of its blocks, and what errors that are left of these do to the calibration.
 
-    ``blocks`` are what is found, without the camera where it is not tested: ``undetermined`` then says why.
-    ``covariance`` (K, K) is the mean square of the calibration's errors that errors of the blocks cause. ``errors`` (6,
-    6) is that of camera and instrument with which the session was solved, in the order of `PARAMETERS`: what it finds
-    and does not use is an error as well.
+    ``blocks`` are what is found, without the camera where it is not tested. ``covariance`` (K, K) is the mean square of
+    the calibration's errors that errors of the blocks cause. ``errors`` (6, 6) is that of camera and instrument with
+    which the session was solved, in the order of `PARAMETERS`: what it finds and does not use is an error as well.
     """
 
-    undetermined: str
     covariance: Float64
     errors: Float64
     blocks: Mapping[str, FoundBlock]

@@ -298,29 +298,11 @@ def _tested(arms: Arms, passes: int = _PASSES) -> list[Solved]:
 def checked(arms: Arms) -> Arms:
     """Check camera, instrument and other blocks of arms that are solved, and note what is found of the camera.
 
-    The evidence of the returned arms is as seen by the camera that is used.
+    Where a camera that is not used is not plausible, only what the frames show at that of the file is left, which may
+    contradict it or say nothing. The evidence of the returned arms is as seen by the camera that is used.
     """
-    out = list[ArmSession]()
     for arm in arms:
         arm.setup.progress("checking the camera", len(arm.frames))
-    for arm, check in zip(arms, _checks(arms), strict=True):
-        arm, camera = replace(arm, check=check), check.blocks.get(CAMERA)
-        if camera is None:
-            arm = arm.noted(undetermined=[check.undetermined])
-        elif arm.setup.guessed_camera:
-            arm = arm.noted(remarks=[describe_found(camera, arm.stored[0].camera)])
-        elif camera.applied and camera.doubt:
-            arm = arm.noted(remarks=[camera.doubt])
-        out.append(arm if arm.change is None else _with_evidence(arm))
-    return out
-
-
-def _checks(arms: Arms) -> list[BlockCheck]:
-    """Return what the frames of arms that are solved show of the tested blocks.
-
-    Where a camera that is not used is not plausible, only what the frames show at that of the file is left, which may
-    contradict it or say nothing.
-    """
     session, refined = arms[0].setup.config.session, arms[0].change is not None
     reasons = [camera_undetermined(arm.model, _LEAST_TESTED, "test") for arm in arms]
     reason = None if None in reasons else reasons[0]
@@ -330,10 +312,11 @@ def _checks(arms: Arms) -> list[BlockCheck]:
     found = _tested(arms, passes)
     if far := passes > 1 and not all(own.is_plausible for own in found):
         found = _tested(arms, passes=1)
-    return [_check(*each, reason, far=far) for each in zip(arms, found, strict=True)]
+    out = [_checked(*each, reason, far=far) for each in zip(arms, found, strict=True)]
+    return [_with_evidence(arm) for arm in out] if refined else out
 
 
-def _check(arm: ArmSession, solved: Solved, reason: str | None, *, far: bool) -> BlockCheck:
+def _checked(arm: ArmSession, solved: Solved, reason: str | None, *, far: bool) -> ArmSession:
     """Judge the estimates of an arm.
 
     ``reason`` is why the camera is not tested, ``far`` whether its estimate was not plausible.
@@ -347,14 +330,18 @@ def _check(arm: ArmSession, solved: Solved, reason: str | None, *, far: bool) ->
             found, left = arm.margin, square_left(arm.margin)
         moves, of_errors = solved.moved_by(block), np.ix_(*[places_of(block.parameters)] * 2)
         if block.name == CAMERA and (reason or (far and not found.doubt)):
-            reason, left = reason or IMPLAUSIBLE, errors[of_errors]
+            left = errors[of_errors]
+            arm = arm.noted(undetermined=[reason or IMPLAUSIBLE])
         else:
             blocks[block.name] = found.moving(moves)
         if block.parameters:
             errors[of_errors] = left
         if block.widens:
             covariance += moves @ left @ moves.T
-    return BlockCheck(reason or "", covariance, errors, blocks)
+    camera, arm = blocks.get(CAMERA), replace(arm, check=BlockCheck(covariance, errors, blocks))
+    if camera is not None and arm.setup.guessed_camera:
+        return arm.noted(remarks=[describe_found(camera, arm.stored[0].camera)])
+    return arm.noted(remarks=[camera.doubt]) if camera is not None and camera.applied and camera.doubt else arm
 
 
 def predict_from_first(
