@@ -158,12 +158,7 @@ class FrameOptions:
         files = joint_files([Path(text) for text in self.joints if text not in texts], read_as.arm) or ()
         moment = None if self.time is None else parse_time("--time", self.time)
         return read_frame_joints(
-            [*texts, *files],
-            frame=self.frame,
-            image=self.named.stem,
-            time=moment,
-            lag=lag,
-            read_as=read_as,
+            [*texts, *files], frame=self.frame, image=self.named.stem, time=moment, lag=lag, read_as=read_as
         )
 
 

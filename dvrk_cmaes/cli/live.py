@@ -264,11 +264,9 @@ def live(
 
     topics.of_arms(topics.psm)  # wrong usage is said before what is not installed
     connection = server.connection(LogThrottle(note))  # of the connection; follow has its own
-    with ExitStack() as stack:
-        setup = _described(topics, camera, instrument, method, output, stack)
+    stopping = stopping_on_interrupt("", seconds=output.seconds)
+    with _described(topics, camera, instrument, method, output) as setup, stopping as stop, shown_state() as shown:
         prepare_long_run()
-        stop = stack.enter_context(stopping_on_interrupt("", seconds=output.seconds))
-        shown = stack.enter_context(shown_state())
         connection.open(timeout=2.0)
         begin_within = math.inf if server.wait else _FIRST_IMAGE
         try:
@@ -285,15 +283,11 @@ def live(
     return 0
 
 
+@contextmanager
 def _described(
-    topics: LiveTopics,
-    camera: LiveCameraOptions,
-    instrument: UrdfOptions,
-    method: LiveMethod,
-    output: LiveOutput,
-    stack: ExitStack,
-) -> LiveSetup:
-    """Say what is followed, and how; folders that are written to stay open with the stack."""
+    topics: LiveTopics, camera: LiveCameraOptions, instrument: UrdfOptions, method: LiveMethod, output: LiveOutput
+) -> Iterator[LiveSetup]:
+    """Say what is followed, and how; the folders that are written to are open meanwhile."""
     from dvrk_cmaes.export.frames import FrameNames
     from dvrk_cmaes.io.json_file import write_json
     from dvrk_cmaes.io.output import output as folder_of_command
@@ -313,17 +307,18 @@ def _described(
     if output.out is not None and method.lag is not None:
         raise InputError("--out: expected no --lag: the calibration that is found has a lag of its own")
     rig, settings, arms = camera.rig(inputs), MethodOptions(config=method.config).resolve(), []
-    if output.out is not None:
-        stack.enter_context(folder_of_command(output.out, "live"))
-    for arm in topics.psm:
-        known = method.read(body, instrument.arm, arm)
-        folder = None if output.out is None else output.out / (arm if len(topics.psm) > 1 else "")
-        if folder is not None:
-            stack.enter_context(folder_of_command(folder, "live")).refuse((SESSION,))
-        solver = partial(SolverProcess, body, background=True)
-        save = None if folder is None else partial(write_json, folder / SESSION)
-        arms.append(ArmSetup(names[arm], body, instrument.kinematics, known, solver, save, settings, method.lag))
-    return LiveSetup(inputs, tuple(arms), rig, camera.rectified, output.overlay, lambda: Pool(int, 1).begin())
+    with ExitStack() as stack:
+        if output.out is not None:
+            stack.enter_context(folder_of_command(output.out, "live"))
+        for arm in topics.psm:
+            known = method.read(body, instrument.arm, arm)
+            folder = None if output.out is None else output.out / (arm if len(topics.psm) > 1 else "")
+            if folder is not None:
+                stack.enter_context(folder_of_command(folder, "live")).refuse((SESSION,))
+            solver = partial(SolverProcess, body, background=True)
+            save = None if folder is None else partial(write_json, folder / SESSION)
+            arms.append(ArmSetup(names[arm], body, instrument.kinematics, known, solver, save, settings, method.lag))
+        yield LiveSetup(inputs, tuple(arms), rig, camera.rectified, output.overlay, lambda: Pool(int, 1).begin())
 
 
 @contextmanager

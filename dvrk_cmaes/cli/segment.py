@@ -92,7 +92,7 @@ def segment(
         raise InputError(f"{source}: expected images (PNG or JPEG), got none")
     names = {frame.rpartition("/")[2] for frame in images}
     arm = None if single or model.model != "classic" else _with_readings(folder, names, body, threads)
-    pictures = _pictures(images, arm, out)
+    pictures = _pictures(images, arm, hints, out)
     views: dict[str, list[FrameFiles]] = {}
     for frame, files in pictures.items():
         views.setdefault(frame.rpartition("/")[0], []).append(files)
@@ -105,7 +105,7 @@ def segment(
 
         def find(frame: str, files: FrameFiles) -> None:
             try:
-                paths, now = segment_file(frame, files, rig, body, settings, hints, threads, temporary)
+                paths, now = segment_file(frame, files, rig, body, settings, threads, temporary)
             except DvrkCmaesError as error:
                 if single:
                     raise
@@ -149,8 +149,8 @@ def _with_readings(folder: Path, names: set[str], body: Body, threads: int) -> A
     return ArmInSession(replace(session, frames=frames), body, method)
 
 
-def _pictures(images: Mapping[str, Path], arm: ArmInSession | None, out: Path) -> dict[str, FrameFiles]:
-    """Return the files of each image, with what an arm's session says of it; InputError for a name as no output has."""
+def _pictures(images: Mapping[str, Path], arm: ArmInSession | None, hints: Hints, out: Path) -> dict[str, FrameFiles]:
+    """Return the files of each image, with prompts and what a session says; InputError for a name as no output has."""
     from dvrk_cmaes.frames.frame import FrameFiles
     from dvrk_cmaes.results.folder import check_output
 
@@ -158,19 +158,12 @@ def _pictures(images: Mapping[str, Path], arm: ArmInSession | None, out: Path) -
     for frame, path in images.items():
         name = frame.rpartition("/")[2]
         check_output(out, name)
-        pictures[frame] = replace(known.get(name, FrameFiles(name, None)), image=path, others={})
+        pictures[frame] = replace(known.get(name, FrameFiles(name, None)), image=path, prompts=hints, others={})
     return pictures
 
 
 def segment_file(
-    frame: str,
-    files: FrameFiles,
-    rig: Rig | None,
-    body: Body,
-    settings: SegmentSettings,
-    hints: Hints,
-    threads: int,
-    out: Path,
+    frame: str, files: FrameFiles, rig: Rig | None, body: Body, settings: SegmentSettings, threads: int, out: Path
 ) -> tuple[dict[str, Path], dict[str, Any]]:
     """Segment one image and write the overlay and, as the last file, the mask.
 
@@ -199,7 +192,7 @@ def segment_file(
     known = known or View(name, assumed_camera(*image.shape[1::-1]), np.eye(4))
     camera, _ = match_size(known.camera, image.shape[:2], "image", f"{files.image}: ")
     view = SeenView.of(replace(known, name=name, camera=camera), None, image=image)
-    found = segment_view(view, files, hints, body, settings, threads)
+    found = segment_view(view, files, files.hints, body, settings, threads)
     seconds = perf_counter() - started
     if not found.mask.any():
         raise DvrkCmaesError(f"{files.image}: no instrument found; a box or a point on the instrument would help")

@@ -91,11 +91,12 @@ class SeenView(View):
         return replace(self, ignore=pixels if self.ignore is None else self.ignore | pixels)
 
 
+Tips = ArrayLike | Mapping[str, ArrayLike | None]
+"""The jaw tips (2, 2) px in the image of a camera, or those in a rig's views by name."""
+
+
 def seen_views(
-    mask: Mask,
-    camera: Camera | Rig,
-    ignore: Mask | None = None,
-    keypoints: ArrayLike | Mapping[str, ArrayLike | None] | None = None,
+    mask: Mask, camera: Camera | Rig, ignore: Mask | None = None, keypoints: Tips | None = None
 ) -> tuple[SeenView, ...]:
     """Return the views of a frame that is given as arrays: of one camera, or by name of a rig's views.
 

@@ -417,11 +417,7 @@ def _with_readings(frame: FrameFiles, files: Sequence[JointFile], time: int | No
 
 
 def _session_frames(
-    root: Path,
-    mask_folder: Path,
-    joints: Sequence[Path | JointFile] | None,
-    read_as: ReadAs,
-    video: Video | None,
+    root: Path, mask_folder: Path, joints: Sequence[Path | JointFile] | None, read_as: ReadAs, video: Video | None
 ) -> tuple[tuple[FrameFiles, ...], tuple[JointFile, ...], dict[str, int | None], tuple[str, ...]]:
     """Find the frames of the session layout, its files of readings, the images' times, and notes on the formats."""
     of_views = _pictures(root, mask_folder, filmed=video is not None)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dvrk_cmaes.geometry import Bool, Float64, Indices
 
@@ -43,13 +43,7 @@ class TimedReadings:
     source: str = ""
 
     @classmethod
-    def of(
-        cls,
-        source: str,
-        joints: tuple[str, ...],
-        times: Sequence[int] | NDArray[np.int64],
-        values: Sequence[Sequence[float]] | Float64,
-    ) -> TimedReadings:
+    def of(cls, source: str, joints: tuple[str, ...], times: ArrayLike, values: ArrayLike) -> TimedReadings:
         """Create a time series from readings in any order, ns; of several at the same time, the last is used."""
         stamps = np.asarray(times, dtype=np.int64)
         table = np.asarray(values, dtype=np.float64).reshape(len(stamps), len(joints))

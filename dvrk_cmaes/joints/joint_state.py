@@ -50,12 +50,11 @@ def read_joint_state(path: str, text: str, read_as: ReadAs) -> JointFile:
     return file_of_messages(path, "JointState messages (YAML)", messages, read_as)
 
 
-def file_of_messages(
-    path: str,
-    kind: str,
-    messages: Sequence[tuple[str, Sequence[str], Sequence[object], int | None]],
-    read_as: ReadAs,
-) -> JointFile:
+Message = tuple[str, Sequence[str], Sequence[object], int | None]
+"""A message: the beginning of error messages, the stated names, if any, the positions, and the time, ns."""
+
+
+def file_of_messages(path: str, kind: str, messages: Sequence[Message], read_as: ReadAs) -> JointFile:
     """Return a file of messages, without those that have no positions, as before an arm is up.
 
     Two messages with different joints, as the arm's and the jaw's, are one row.
@@ -65,7 +64,7 @@ def file_of_messages(
     path, kind
         The file's path and the name of its format.
     messages
-        The beginning of error messages, the stated names, if any, the positions, and the time, ns, of each.
+        The messages.
     read_as
         Names of the joints that are accepted, and the arm whose are read of messages with those of several.
 

@@ -59,6 +59,9 @@ JointRow = tuple[str, Mapping[str, object], int | None]
 """One row or message of a file, as it is read: the prefix of error messages, numbers or texts by joint name, blank if a
 reading is not known, and the time of the row, ns, or None."""
 
+Labels = Literal["frame", "number", "message"]
+"""What names the rows of a file: names of frames, whole numbers, or nothing, as of messages."""
+
 NO_TIME: Final = int(np.iinfo(np.int64).min)
 """In place of the time of a row that has none."""
 
@@ -101,7 +104,7 @@ class JointFile:
     kind
         Description of the format.
     labels
-        What names the rows: names of frames, whole numbers, or nothing, as of messages.
+        What names the rows.
     names
         Place of each row by its label, in the file's order; empty for messages.
     joints
@@ -118,7 +121,7 @@ class JointFile:
 
     path: str
     kind: str
-    labels: Literal["frame", "number", "message"]
+    labels: Labels
     names: Mapping[str, int]
     joints: tuple[str, ...]
     times: NDArray[np.int64]
@@ -128,12 +131,7 @@ class JointFile:
 
     @classmethod
     def of(
-        cls,
-        path: str,
-        kind: str,
-        rows: Mapping[str, JointRow],
-        labels: Literal["frame", "number", "message"],
-        notes: tuple[str, ...] = (),
+        cls, path: str, kind: str, rows: Mapping[str, JointRow], labels: Labels, notes: tuple[str, ...] = ()
     ) -> JointFile:
         """Create a file from its rows by label."""
         joints = tuple(dict.fromkeys(name for _, cells, _ in rows.values() for name in cells))

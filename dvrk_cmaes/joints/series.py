@@ -19,6 +19,10 @@ _SPACINGS = 3.0  # ... or times the usual spacing of the readings
 _LARGEST_JUMPS = 0.25  # sum of deviations from the neighbours' means over that of changes: moves take two rows
 
 
+_Table = tuple[Sequence[str], Float64, Float64]
+"""J joints, increasing times (M,), and readings (M, J), NaN where there is none."""
+
+
 @dataclass(frozen=True, eq=False)
 class ReadingSeries:
     """Readings of joints as functions of time, and the times of the frames' images on the same clock.
@@ -201,14 +205,9 @@ class ReadingSeries:
 
     @classmethod
     def _of(
-        cls,
-        unit: Unit,
-        tables: Iterable[tuple[Sequence[str], Float64, Float64]],
-        frames: Mapping[str, float],
-        interval: float,
-        origin: float = 0.0,
+        cls, unit: Unit, tables: Iterable[_Table], frames: Mapping[str, float], interval: float, origin: float = 0.0
     ) -> ReadingSeries:
-        """Create a series from tables of joints, increasing times (M,) and readings (M, J), NaN where there is none."""
+        """Create a series from tables of readings."""
         times, read = dict[str, Float64](), dict[str, Float64]()
         for joints, clock, values in tables:
             for joint, column in zip(joints, values.T, strict=True):

@@ -186,9 +186,11 @@ def listed_readings(where: str, value: Any) -> dict[str, float]:
     return {name: joint_reading(where, name, cell) for name, cell in zip(names, value, strict=True)}
 
 
-def series_of_rows(
-    source: str, rows: Mapping[int, Mapping[str, float]], time_of: Callable[[int], int]
-) -> TimedReadings:
+Rows = Mapping[int, Mapping[str, float]]
+"""Readings by joint, of frames by their number."""
+
+
+def series_of_rows(source: str, rows: Rows, time_of: Callable[[int], int]) -> TimedReadings:
     """Return the series of rows of the same joints, by number; InputError if there are none, or of other joints."""
     if not rows:
         raise InputError(f"{source}: expected the joints of at least one frame, got none")

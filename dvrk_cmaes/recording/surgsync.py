@@ -49,8 +49,11 @@ from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, weighted
 from dvrk_cmaes.joints.names import ECM_JOINTS, joint_reading, joints_by_count
 from dvrk_cmaes.joints.times import parse_stamp, parse_time
 from dvrk_cmaes.recording.camera import read_camera_bytes
-from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording, listed_readings
+from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording, Rows, listed_readings
 from dvrk_cmaes.recording.video import images_of
+
+Times = Mapping[int, int]
+"""Times, ns, by the number of the frame."""
 
 _TIMES = "the times of a frame (time_syn, JSON)"
 _KINEMATICS = "the readings of an arm (kinematic, JSON)"
@@ -213,7 +216,7 @@ def _times(path: Path, side: Side) -> tuple[dict[int, int], dict[str, list[int]]
 
 
 def _readings(
-    path: Path, arm: str, images: Mapping[int, int], times: Mapping[str, list[int]]
+    path: Path, arm: str, images: Times, times: Mapping[str, list[int]]
 ) -> tuple[tuple[TimedReadings, ...], list[str]]:
     """Read an arm's table: a series of its joints and one of its jaw at the times of the images, and notes."""
     table = path / f"{arm}.parquet"
@@ -352,13 +355,7 @@ def _readings_of_clip(
     return tuple(at_images(str(folder), joints, rows, images, taken) for joints, taken in parts if joints)
 
 
-def at_images(
-    source: str,
-    joints: tuple[str, ...],
-    rows: Mapping[int, Mapping[str, float]],
-    images: Mapping[int, int],
-    taken: Mapping[int, int],
-) -> TimedReadings:
+def at_images(source: str, joints: tuple[str, ...], rows: Rows, images: Times, taken: Times) -> TimedReadings:
     """Interpolate readings that were ``taken`` near the images' times, ns, to these; where not possible, keep them.
 
     Readings that are farther from their image than the recorder allows are omitted.

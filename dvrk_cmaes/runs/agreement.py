@@ -6,7 +6,7 @@ same frames. Where a mask was found in an image, that is looked at again where m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
@@ -26,6 +26,7 @@ from dvrk_cmaes.pose.doubts import BASE_APART, base_apart
 from dvrk_cmaes.results.folder import found_masks, result_path
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.frame import ArmInSession, estimated, failed_outcome
+from dvrk_cmaes.runs.pool import Notice
 
 _LEAST_FRAMES: Final = 3
 _FACTOR: Final = 2.0  # of the squared distances from the own readings and from those of the other tool
@@ -160,9 +161,7 @@ def base_doubts(results: Mapping[str, Result], limit_deg: float) -> dict[str, st
     return {name: reasons[name] for name in bases if name in reasons}
 
 
-def expected_elsewhere(
-    arm: ArmInSession, results: Mapping[str, Result], notice: Callable[[str], None]
-) -> list[FrameFiles]:
+def expected_elsewhere(arm: ArmInSession, results: Mapping[str, Result], notice: Notice) -> list[FrameFiles]:
     """Return the frames whose masks were found in images and do not agree with most others on where the base is.
 
     ``results`` are those of frames by name, each by its own image. Each frame that is returned starts where those that
@@ -195,7 +194,7 @@ def expected_elsewhere(
     return [replace(images[name], start=start_at(found[0].result, at, names)) for name, at in expected.items()]
 
 
-def expected_by_masks(arm: ArmInSession, folder: Path, notice: Callable[[str], None]) -> list[FrameFiles]:
+def expected_by_masks(arm: ArmInSession, folder: Path, notice: Notice) -> list[FrameFiles]:
     """Return the frames of `expected_elsewhere` by the masks in a folder that were found in their images."""
     frames = [with_found_masks(files, folder) for files in arm.session.frames]
     found = (estimated(arm, own) if own.has_mask else failed_outcome(arm, own, "no mask was found") for own in frames)

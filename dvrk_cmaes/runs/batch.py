@@ -68,12 +68,7 @@ class BatchSummary:
 
 
 def run_batch(
-    arm: ArmInSession,
-    out: str | Path,
-    *,
-    pattern: str | None = None,
-    resume: bool = True,
-    workers: Workers | None = None,
+    arm: ArmInSession, out: str | Path, *, workers: Workers, pattern: str | None = None, resume: bool = True
 ) -> BatchSummary:
     """Estimate the frames of an arm that have no result in a folder yet, and write results, tables and page.
 
@@ -87,12 +82,12 @@ def run_batch(
         The arm. The workers must find the session's files under the same paths; the threads are those of each worker.
     out
         Folder of the results.
+    workers
+        What estimates the frames.
     pattern
         Shell pattern (``*``, ``?``, ``[..]``) of the names of the frames to do.
     resume
         Keep the results that are there, but for failed ones. If False, all are removed first.
-    workers
-        What estimates the frames; by default as many processes as the cores allow.
 
     Raises
     ------
@@ -102,7 +97,7 @@ def run_batch(
     DvrkCmaesError
         Another batch is writing to the folder, the disk is full, or workers cannot be started or were lost.
     """
-    workers, out, session, method = workers or Workers(), Path(out), arm.session, arm.method
+    out, session, method = Path(out), arm.session, arm.method
     check_config(method.config)
     names = arm.body.instrument.joint_names
     commanded = commanded_in([files.readings for files in session.frames], names)
@@ -166,7 +161,7 @@ def finish(out: str | Path, ran: tuple[int, float] = (0, 0.0), trust: TrustConfi
         limit = (trust or TrustConfig()).largest_base_deg
         results = replace(results, frames=compare_bases(out, results.frames, limit))
         write_text(out / POSES, table_text(pose_rows(results.frames.values())))
-    results = replace(results, summary=summarize(results.frames, manifest, ran, calibration=results.session))
+    results = replace(results, summary=summarize(results.frames, manifest, ran, results.session))
     write_json(out / SUMMARY, results.summary)
     if results.frames:
         from dvrk_cmaes.report.page import write_page

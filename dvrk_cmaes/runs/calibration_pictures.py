@@ -14,20 +14,15 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackView
 from dvrk_cmaes.silhouette import Body, Renderer
 
+Task = tuple[FrameFiles, Result, LeaveOneOutPrediction, Evidence]
+"""A frame's files, which have a mask, its result, what the others predict, and the evidence that was found."""
 
-def draw_task(
-    body: Body,
-    config: EstimateConfig,
-    task: tuple[FrameFiles, Result, LeaveOneOutPrediction, Evidence],
-    *,
-    rig: Rig,
-    calibrated: Rig,
-) -> tuple[bytes, bytes]:
+
+def draw_task(body: Body, config: EstimateConfig, task: Task, *, rig: Rig, calibrated: Rig) -> tuple[bytes, bytes]:
     """Draw a frame's result, and what the session's other frames predict for it.
 
-    A task has the frame's files, which have a mask, its result, that prediction, and the evidence that was found with
-    the ``calibrated`` rig, with which the session was solved; ``rig`` is that of the camera files. Returns the overlay
-    of the result and that of the prediction, JPEG.
+    The evidence is that of the ``calibrated`` rig, with which the session was solved; ``rig`` is that of the camera
+    files. Returns the overlay of the result and that of the prediction, JPEG.
     """
     files, result, left_out, evidence = task
     data = read_frame(files, calibrated)

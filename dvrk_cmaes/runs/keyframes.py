@@ -36,6 +36,7 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.agreement import start_at
 from dvrk_cmaes.runs.backgrounds import with_backgrounds
 from dvrk_cmaes.runs.frame import estimate_frame
+from dvrk_cmaes.runs.pool import Notice
 from dvrk_cmaes.runs.recording import RecordedFrames, RecordedSolution, predict, read_seen
 from dvrk_cmaes.segment.segmentation import GUESS, SegmentSettings
 from dvrk_cmaes.segment.shaft_pairs import prompts_in
@@ -119,11 +120,7 @@ def _tried(solve: Callable[[], T]) -> T | str:
 
 
 def _estimated(
-    recorded: RecordedFrames,
-    chosen: Sequence[int],
-    work: ArmSetup,
-    usable: Bool | None = None,
-    images: SegmentSettings | None = None,
+    recorded: RecordedFrames, chosen: Sequence[int], work: ArmSetup, usable: Bool | None, images: SegmentSettings | None
 ) -> dict[int, SessionFrame]:
     """Estimate keyframes alone, by number: some by a search, the others from where these expect them.
 
@@ -197,12 +194,7 @@ def _with_colours(solution: RecordedSolution, found: Mapping[int, FrameData]) ->
 
 
 def begin_solution(
-    recorded: RecordedFrames,
-    given: SessionCalibration | None,
-    work: ArmSetup,
-    *,
-    by_masks: bool,
-    notice: Callable[[str], None] = lambda text: None,
+    recorded: RecordedFrames, given: SessionCalibration | None, work: ArmSetup, notice: Notice, *, by_masks: bool
 ) -> Begun[RecordedSolution | str | None]:
     """Estimate the keyframes of a recording alone and solve them together; a text says why that is not possible.
 
@@ -218,13 +210,13 @@ def begin_solution(
     chosen = recorded.keyframes()
     if len(chosen) < LEAST_KEYFRAMES:
         return Begun.of(_too_few(recorded, len(chosen), LEAST_KEYFRAMES))
-    frames = _estimated(recorded, chosen, work)
+    frames = _estimated(recorded, chosen, work, usable=None, images=None)
     begun = _begin_chosen(recorded, [*frames.values()], work, LEAST_KEYFRAMES)
     return begun.then(lambda solved: solved if isinstance(solved, str) else RecordedSolution(recorded, solved, work))
 
 
 def _begin_by_images(
-    recorded: RecordedFrames, given: SessionCalibration | None, work: ArmSetup, notice: Callable[[str], None]
+    recorded: RecordedFrames, given: SessionCalibration | None, work: ArmSetup, notice: Notice
 ) -> Begun[RecordedSolution | str | None]:
     """Find masks in images of a recording, by which it is solved as by `begin_solution`, with their colours."""
     usable = np.array([own.has_image or own.has_mask for own in recorded.files])

@@ -41,6 +41,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 R = TypeVar("R")
+Notice = Callable[[str], None]
+"""Takes a message about a whole run."""
 
 _DIED: Final = "its process died twice: out of memory, or a crash in a native library"
 _PAYS: Final = 4  # frames of a calibration from which on one process more is sooner done: its start takes about two
@@ -213,7 +215,7 @@ class Workers:
     time_limit: float = TIME_LIMIT
     stop: threading.Event = field(default_factory=threading.Event)
     report: Callable[..., None] = lambda done, todo, more="": None
-    notice: Callable[[str], None] = lambda text: None
+    notice: Notice = lambda text: None
 
     def stage(self, name: str, frames: int) -> None:
         """Say that a stage of the run begins, of some frames."""

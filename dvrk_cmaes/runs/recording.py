@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Final
@@ -27,7 +27,7 @@ from dvrk_cmaes.pose.doubts import pose_lost, readings_frozen, readings_missing,
 from dvrk_cmaes.pose.terms.tips_term import Expected
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.track.frame_fits import PredictedFrame, StoredFit, fit_block
-from dvrk_cmaes.track.image_masks import ColourModel
+from dvrk_cmaes.track.image_masks import Colours
 from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES, NOTHING, MaskShape, choose_keyframes, well_in_view
 from dvrk_cmaes.track.reading_buffer import frozen_frames, frozen_since
 from dvrk_cmaes.track.window import Judged, Window, judge_frame
@@ -191,7 +191,7 @@ class RecordedSolution:
     recorded: RecordedFrames
     calibration: SessionCalibration
     work: ArmSetup
-    colours: Mapping[str, ColourModel] | None = None
+    colours: Colours | None = None
 
     @cached_property
     def rig(self) -> Rig:

@@ -15,16 +15,13 @@ from dvrk_cmaes.pose.doubts import reasons, rig_turned
 from dvrk_cmaes.results.result import Result, Status
 
 SCHEMA: Final = 1
+Document = Mapping[str, Any]
 _OF_QUALITY: Final = ("iou", "contour_px_median", "contour_px_95")
 _DIGITS: Final = 6
 
 
 def summarize(
-    results: Mapping[str, Result],
-    manifest: Mapping[str, Any],
-    ran: tuple[int, float] = (0, 0.0),
-    *,
-    calibration: Mapping[str, Any] | None = None,
+    results: Mapping[str, Result], manifest: Document, ran: tuple[int, float], calibration: Document | None
 ) -> dict[str, Any]:
     """Return the content of summary.json.
 

@@ -146,7 +146,7 @@ class TrackedArm:
         work = ArmSetup(series, instrument, method.arm, config, run, by.stage, lag=self._lag)
         if self._given is not None and not recorded.trusted.any():
             return Begun.of("no frame has readings of the outer joints that are not frozen")
-        return begin_solution(recorded, self._given, work, by_masks=settings.evidence == "masks", notice=by.notice)
+        return begin_solution(recorded, self._given, work, by.notice, by_masks=settings.evidence == "masks")
 
     def _finish(self, own: Output, begun: Begun[RecordedSolution | str | None], outcome: Outcome | None) -> TrackedArm:
         """Finish the keyframes of the arm, whose folder and processes are open, follow it, and write everything.

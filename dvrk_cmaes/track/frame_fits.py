@@ -34,7 +34,7 @@ from dvrk_cmaes.pose.terms.tips_term import Expected
 from dvrk_cmaes.pose.views import FrameView, silhouette_of
 from dvrk_cmaes.segment.regions import FINEST
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.image_masks import PASSES, SPREAD_OF_FIT, ColourModel, learned_colours, mask_around
+from dvrk_cmaes.track.image_masks import PASSES, SPREAD_OF_FIT, ColourModel, Colours, learned_colours, mask_around
 
 _LEAST_SHOWN = 40  # px of mask, from which on a frame is fitted
 _ANOTHER_START = 1.0  # standard deviations per parameter between two starts that are both tried
@@ -87,7 +87,7 @@ class ImageFitter:
     body: Body
     config: EstimateConfig
     margin: float = 0.0
-    colours: Mapping[str, ColourModel] | None = None
+    colours: Colours | None = None
     lengths: Mapping[str, float] | None = None
 
     def fit(self, seen: Sequence[SeenView], expected: Expected, before: Float64 | None) -> MaskedFit | None:
@@ -162,12 +162,7 @@ def learn_task(
 
 
 def fit_block(
-    body: Body,
-    config: EstimateConfig,
-    frames: Sequence[PredictedFrame],
-    *,
-    margin: float,
-    colours: Mapping[str, ColourModel] | None = None,
+    body: Body, config: EstimateConfig, frames: Sequence[PredictedFrame], *, margin: float, colours: Colours | None
 ) -> list[StoredFit | None]:
     """Fit consecutive frames, each from its prediction and from that changed as the frame before was.
 
@@ -193,12 +188,7 @@ def fit_block(
 
 
 def _masked(
-    seen: Sequence[SeenView],
-    drawn: Sequence[Bool],
-    colours: Mapping[str, ColourModel],
-    spread: float,
-    *,
-    running: bool = False,
+    seen: Sequence[SeenView], drawn: Sequence[Bool], colours: Colours, spread: float, *, running: bool
 ) -> tuple[tuple[SeenView, ...], float]:
     """Return views with masks found around silhouettes, and the largest share of one that is unsupported."""
     views, shares = [], [0.0]

@@ -7,7 +7,7 @@ the silhouette, whose outline may be off by as much as the prediction is uncerta
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Final
@@ -70,6 +70,10 @@ class ColourModel:
         """Return the model with a share of another one's histograms."""
         keep, new = np.float32(1 - share), np.float32(share)
         return ColourModel(keep * self.inside + new * other.inside, keep * self.outside + new * other.outside)
+
+
+Colours = Mapping[str, ColourModel]
+"""Colours of instrument and surroundings by view."""
 
 
 @cache

@@ -249,14 +249,11 @@ class Window:
         return resting_on(result, self.calibration)
 
 
-def judge_frame(
-    body: Body,
-    config: EstimateConfig,
-    task: tuple[Sequence[StoredView], Found, float, Sequence[str]],
-    *,
-    window: Window,
-    source: str,
-) -> Judged:
-    """Judge a frame, given its views, its pose, its misfit and reasons to doubt its masks, as `Window.judged` does."""
+Shown = tuple[Sequence[StoredView], Found, float, Sequence[str]]
+"""The views of a frame, its pose, its misfit and reasons to doubt its masks."""
+
+
+def judge_frame(body: Body, config: EstimateConfig, task: Shown, *, window: Window, source: str) -> Judged:
+    """Judge a frame as `Window.judged` does."""
     views, found, misfit, of_masks = task
     return window.judged([view.restored(body) for view in views], found, misfit, of_masks, body, source)

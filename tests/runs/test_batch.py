@@ -57,8 +57,9 @@ def test_resume_with_other_instrument_is_refused(batch: Batch, two: Path, tmp_pa
     batch(two)
     limits = bundled_body.instrument.limits + 0.1
     other = prepare(replace(bundled_body.instrument, limits=limits))
+    arm = ArmInSession(read_session(two), other, FrameMethod("classic", QUICK_CONFIG))
     with pytest.raises(InputError, match=r"its results were made otherwise \(instrument.digest: \w{16} -> \w{16}\)"):
-        run_batch(ArmInSession(read_session(two), other, FrameMethod("classic", QUICK_CONFIG)), tmp_path / "out")
+        run_batch(arm, tmp_path / "out", workers=Workers())
 
 
 def test_resume_with_changed_files_is_refused(batch: Batch, two: Path, tmp_path: Path) -> None:
