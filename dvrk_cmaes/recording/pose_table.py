@@ -71,9 +71,7 @@ def read_pose_table(
     return tuple(series)
 
 
-def joints_of_poses(
-    path: Path, poses: Float64, point: PosePoint = "tip", arm: Arm = "classic", tool: Tool | None = None
-) -> tuple[Float64, str]:
+def joints_of_poses(path: Path, poses: Float64, point: PosePoint, arm: Arm, tool: Tool | None) -> tuple[Float64, str]:
     """Find the joints (N, 6) of poses (N, 4, 4) in the arm's base, and say how; arguments as of `read_pose_table`."""
     tool = tool or Tool()
     if point == "wrist-yaw":
