@@ -28,6 +28,7 @@ PREDICTS_BADLY: Final = "this calibration predicts frames badly that it has not 
 """What the reason begins with for which a calibration is not used for other frames."""
 LARGEST_LOSS: Final = 0.15
 """Of the overlap, from the frames' own fits to their predictions by the others."""
+_LOSS_FAR_OFF = 0.1  # the same where contours are far off, as errors of the wrist's readings alone make them, too
 _TRUSTED_SHARE = 0.5  # of the frames that were solved together; if no more agree, these few may be the wrong ones
 LARGEST_PREDICTED_PX: Final = 2.5
 """Median distance of the contours of frames from what the other frames of their session predict, at 640 px of width."""
@@ -83,7 +84,7 @@ def doubts_of(
 def predicts_badly(calibration: SessionCalibration, most_px: float) -> str | None:
     """Judge how frames agree with what the other frames predict."""
     predicted, own, px = calibration.predicted_iou, calibration.iou, calibration.predicted_px
-    if predicted < own - LARGEST_LOSS or px > most_px:
+    if own - predicted > (_LOSS_FAR_OFF if px > most_px else LARGEST_LOSS):
         return (
             f"{PREDICTS_BADLY}: IoU {predicted:.2f} by the other frames, {own:.2f} by their own fits, contour "
             f"{px:.1f} px off, expected at most {most_px:.1f} px; its lag, camera file, instrument or readings may be "

@@ -48,11 +48,12 @@ def test_bad_predictions_are_a_doubt() -> None:
 
 
 def test_contours_far_from_predictions_are_a_doubt_in_pixels_that_grow_with_the_image() -> None:
-    far = session(leave_one_out=dict.fromkeys(FRAMES, Agreement(0.9, 7.9)))
+    far = session(leave_one_out=dict.fromkeys(FRAMES, Agreement(0.84, 7.9)))
     (text,) = doubts_of(far, pixel_scale=3.0)
-    assert text.startswith("this calibration predicts frames badly that it has not seen: IoU 0.90 by the other frames")
+    assert text.startswith("this calibration predicts frames badly that it has not seen: IoU 0.84 by the other frames")
     assert "contour 7.9 px off, expected at most 7.5 px" in text
-    assert doubts_of(session(leave_one_out=dict.fromkeys(FRAMES, Agreement(0.9, 4.0))), pixel_scale=3.0) == ()
+    for near in (Agreement(0.84, 4.0), Agreement(0.9, 7.9)):  # the second as by errors of the wrist's readings
+        assert doubts_of(session(leave_one_out=dict.fromkeys(FRAMES, near)), pixel_scale=3.0) == ()
 
 
 def test_lag_that_leaves_half_of_the_frames_without_readings_is_a_doubt() -> None:
