@@ -42,12 +42,13 @@ _DEEP: Final = 2.0  # px within the first outline, beyond which the second weigh
 _LARGEST_BY_PROMPT: Final = 0.3  # of the picture, that colours about a prompt may take
 _ALIKE: Final = 0.3  # overlap with any candidate, below which a mask has no likeness of an instrument
 _UNLIKE: Final = 0.4  # confidence of such a mask
-_POSSIBLE: Final = 0.2
-"""Confidence of a candidate below which it is none: of drawn ones 2 % are right there, 36 % from there to `GUESS`."""
+_POSSIBLE: Final = 0.1
+"""Confidence of a candidate below which it is none: of 21 none is right there, of 21 from there to `GUESS` one."""
 _AGREES: Final = 0.85  # overlap of a mask with the silhouette around which it was cut, below which it is less sure
 _UNDECIDED: Final = 0.75  # confidence, at most, of one of several instruments, where readings are of a certain one
 _SHARED: Final = 0.2  # of a mask, that may be in those of instruments that are surer; it is taken from this one
 SAME: Final = 0.7  # overlap with an instrument, from which on a mask is of the same one: then the surer one is taken
+_SURER: Final = 0.1  # by which the candidate's own mask is surer than that one, where it is taken
 _ROUGHLY: Final = 0.2  # by which this overlap may be less at 320 px, where a mask is found at full size
 _BEYOND_BOX: Final = 0.5  # share of a silhouette that is outside a given box
 
@@ -147,7 +148,7 @@ def segment_by_model(
                 return same
         without = prompts.with_outside(prompts.outside | others_pixels)
         own = mask_of_candidate(image, each, body, camera, without, foreground, finest)
-        return same if own.mask.any() and same is not None and same.confidence > own.confidence else own
+        return same if own.mask.any() and same is not None and same.confidence > own.confidence - _SURER else own
 
     masks, ranks, taken = list[Segmentation](), list[float](), np.zeros_like(prompts.outside)
     for each in found if not prompts.given else found[:1]:

@@ -218,19 +218,19 @@ def _sides(first: _Line, second: _Line, camera: Camera, radius: float) -> _Sides
         return None
     along = first.direction + np.sign(cosine) * second.direction
     along /= np.linalg.norm(along)
-    one, other = (
-        np.sort(line.point @ along + line.stretches * (line.direction @ along), axis=1) for line in (first, second)
-    )
+    one, other = (line.stretches * (line.direction @ along) + line.point @ along for line in (first, second))
     low, high = max(one.min(), other.min()), min(one.max(), other.max())
-    begin, end = np.maximum(one[:, None, 0], other[:, 0]), np.minimum(one[:, None, 1], other[:, 1])
-    overlap = float(np.maximum(end - begin, 0).sum())
-    sides = _Sides(first, second, along, (low + high) / 2, overlap + 0.25 * (high - low))
+    sides = _Sides(first, second, along, (low + high) / 2, 0.0)
     width = sides.across(first) - sides.across(second)
     focal = float(np.sqrt(camera.fx * camera.fy))
     widest, narrowest = (2 * radius * focal / depth for depth in _DEPTHS)
     if not max(narrowest, _NARROWEST) < abs(width) < widest or high - low < _LEAST_OVERLAP * abs(width):
         return None
-    return sides if width > 0 else replace(sides, upper=second, lower=first)
+    one, other = np.sort(one, axis=1), np.sort(other, axis=1)
+    begin, end = np.maximum(one[:, None, 0], other[:, 0]), np.minimum(one[:, None, 1], other[:, 1])
+    support = float(np.maximum(end - begin, 0).sum()) + 0.25 * (high - low)
+    upper, lower = (first, second) if width > 0 else (second, first)
+    return replace(sides, upper=upper, lower=lower, support=support)
 
 
 def _pair(sides: _Sides, camera: Camera, radius: float, limits: Float64) -> Pair | None:
