@@ -201,7 +201,7 @@ class UnknownBase:
 def _solved(image: _Image, given: Followed, calibration: SessionCalibration | None, *, first: bool) -> Result | None:
     """Solve an image by itself; None if nothing is found in it, or its masks are nothing but instrument."""
     readings = replace(image.reading, ecm=None).by_name(given.instrument.joint_names)
-    masks = given.segmenter.first_masks(image.seen, guesses=first)
+    masks = given.segmenter.first_masks(image.seen, readings, guesses=first)
     if not masks:
         return None
     try:

@@ -160,10 +160,11 @@ class ViewSegmenter:
                 views.append(view if view.image is None else view.without(look[1]))
         return tuple(views)
 
-    def first_masks(self, seen: Seen, *, guesses: bool) -> dict[str, Bool]:
+    def first_masks(self, seen: Seen, readings: Mapping[str, float], *, guesses: bool) -> dict[str, Bool]:
         """Return the masks by name of the view: those given, or that of the first image in which one is found.
 
-        One that is only guessed counts if ``guesses`` do.
+        It is looked for by the instrument's shape, whose joints have ``readings``, rad, by name. One that is only
+        guessed counts if ``guesses`` do.
         """
         given = {view.name: view.mask for view in seen.views if view.given}
         if given:
@@ -171,7 +172,7 @@ class ViewSegmenter:
         for view in seen.clear:
             if view.image is None:
                 continue
-            found = segment(view.image)
+            found = segment(view.image, instrument=self._body, camera=view.camera, joints=readings)
             if found.mask.any() and (guesses or found.confidence >= GUESS):
                 return {view.name: found.mask}
         return {}
