@@ -296,7 +296,7 @@ def check_arm(arm: ArmModes, consensus: Consensus) -> None:
         outer = arm.model.outer.copy()
         outer[:, 2] += difference
         other = find_consensus(replace(arm, model=replace(arm.model, outer=outer)))
-        if other.mean_misfit < IMPROVEMENT * misfit:
+        if other.mean_misfit < IMPROVEMENT * misfit and other.cost.sum() < consensus.cost.sum():
             than = "longer" if difference > 0 else "shorter"
             raise InputError(
                 f"session: the readings fit an arm or tool {abs(difference) * 1e3:.0f} mm {than}"
