@@ -164,15 +164,14 @@ def batch(
     json
         Print only summary.json, on stdout.
     """
+    from dvrk_cmaes.frames.session_folder import labels_of
     from dvrk_cmaes.runs.batch import run_batch
     from dvrk_cmaes.runs.cluster import dask_executor
 
     wanted.check()
     session, pictures = pictures_at(session if wanted.scheduler is None else session.absolute())
     with output_folder(wanted.out, session, "results", "batch") as results:
-        labels = session / "labels"
-        labelled = wanted.label is not None and labels.is_dir() and not (session / "masks").exists()
-        masks = labels if labelled else None
+        masks = None if wanted.label is None else labels_of(session)
         read = open_session(session, given, calibrated, joints=wanted.joints, reading=reading, masks=masks)
         arms = {name: wanted.asked(arm, segment) for name, arm in read.items()}
         finished: dict[str, BatchSummary] = {}

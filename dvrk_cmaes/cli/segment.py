@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from dvrk_cmaes.cli.options import FRAME, MOST_PROCESSES, OUTPUT, SEGMENT, Flag, SegmentOptions, whole
+from dvrk_cmaes.cli.options import (
+    FRAME,
+    MOST_PROCESSES,
+    OUTPUT,
+    SEGMENT,
+    Flag,
+    InstrumentOptions,
+    SegmentOptions,
+    SessionOptions,
+    whole,
+)
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer, exit_code, note
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 
@@ -27,7 +37,7 @@ def segment(
     /,
     *,
     model: SegmentOptions = SegmentOptions(),
-    instrument: Annotated[str, Parameter(group=SEGMENT)] = "lnd",
+    instrument: Annotated[str | None, Parameter(group=SEGMENT)] = None,
     threads: Annotated[int, whole(1, MOST_PROCESSES, group=OUTPUT)] = 2,
     out: Annotated[Path, Parameter(group=OUTPUT)] = Path("dvrk-cmaes-masks"),
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
@@ -63,7 +73,7 @@ def segment(
     model
         The segmentation model, and prompts; in a folder, the same for every image.
     instrument
-        Name of a bundled instrument, or path of a URDF.
+        Name of a bundled instrument, or path of a URDF. By default that of the session's session.toml, or else lnd.
     threads
         Number of threads.
     out
@@ -82,7 +92,7 @@ def segment(
     from dvrk_cmaes.segment.segmentation import Hints
     from dvrk_cmaes.silhouette.prepare import prepare
 
-    hints, body = model.hints(), prepare(instrument)  # before any image is read
+    hints, body = model.hints(), prepare(instrument or "lnd")  # before any image is read
     cv2.setNumThreads(threads)
     folder, pattern = pictures_at(source)
     single = source.is_file() or not folder.is_dir()
@@ -91,8 +101,8 @@ def segment(
     if not images:
         raise InputError(f"{source}: expected images (PNG or JPEG), got none")
     names = {frame.rpartition("/")[2] for frame in images}
-    arm = None if single or model.model != "classic" else _with_readings(folder, names, body, threads)
-    pictures = _pictures(images, arm, hints, out)
+    arm = None if single or model.model != "classic" else _with_readings(folder, names, instrument, threads)
+    todo = pictures = _pictures(images, arm, hints, out)
     views: dict[str, list[FrameFiles]] = {}
     for frame, files in pictures.items():
         views.setdefault(frame.rpartition("/")[0], []).append(files)
@@ -100,53 +110,48 @@ def segment(
     with whole_folder(out, "segment", overwrite=True, kept=("masks", "overlays")) as temporary:
         for text in settings.notes:
             note(text)
-        rig = None if arm is None else arm.session.rig
+        rig, body = (None, body) if arm is None else (arm.session.rig, arm.body)
         written, found = dict[str, dict[str, Path]](), dict[str, dict[str, Any]]()
-
-        def find(frame: str, files: FrameFiles) -> None:
-            try:
-                paths, now = segment_file(frame, files, rig, body, settings, threads, temporary)
-            except DvrkCmaesError as error:
-                if single:
-                    raise
-                found.setdefault(frame, {"status": "failed", "reason": str(error)})
-                return
-            for path in {*written.get(frame, {}).values()} - {*paths.values()}:
-                remove(temporary / path)
-            written[frame], found[frame] = paths, now | {kind: str(out / path) for kind, path in paths.items()}
-
-        for frame, files in pictures.items():
-            find(frame, files)
-        if arm is not None and hints == Hints():
-            arm = replace(arm, method=replace(arm.method, segment=settings))
-            starts = {files.name: files.start for files in expected_by_masks(arm, temporary, note)}
-            for frame, files in pictures.items():
-                if files.name in starts:
-                    find(frame, replace(files, start=starts[files.name]))
+        while todo:
+            for frame, files in todo.items():
+                try:
+                    paths, now = segment_file(frame, files, rig, body, settings, threads, temporary)
+                except DvrkCmaesError as error:
+                    if single:
+                        raise
+                    found.setdefault(frame, {"status": "failed", "reason": str(error)})
+                    continue
+                for path in {*written.get(frame, {}).values()} - {*paths.values()}:
+                    remove(temporary / path)
+                written[frame], found[frame] = paths, now | {kind: str(out / path) for kind, path in paths.items()}
+            starts = {}
+            if arm is not None and hints == Hints() and todo is pictures:
+                arm = replace(arm, method=replace(arm.method, segment=settings))
+                starts = {files.name: files.start for files in expected_by_masks(arm, temporary, note)}
+            again = {frame: files for frame, files in pictures.items() if files.name in starts}
+            todo = {frame: replace(files, start=starts[files.name]) for frame, files in again.items()}
     document = {"model": settings.model, "out": str(out), "frames": found}
     answer(document, (line for frame, of_frame in found.items() for line in _lines(frame, of_frame)), json=json)
     return exit_code(of_frame["status"] for of_frame in found.values())
 
 
-def _with_readings(folder: Path, names: set[str], body: Body, threads: int) -> ArmInSession | None:
+def _with_readings(folder: Path, names: set[str], instrument: str | None, threads: int) -> ArmInSession | None:
     """Return a session folder's arm as some frames see it, without masks; None where no readings of it can be used."""
-    from dvrk_cmaes.config import EstimateConfig
-    from dvrk_cmaes.estimation.one_tool import FrameMethod
-    from dvrk_cmaes.frames.session_folder import read_session
-    from dvrk_cmaes.runs.frame import ArmInSession
+    from dvrk_cmaes.cli.session_tools import open_session
 
     if not any((folder / name).exists() for name in ("joints.csv", "session.toml")):
         return None
+    given = SessionOptions(instrument=InstrumentOptions(instrument=instrument))
     try:
-        session = read_session(folder, known=body.instrument.joint_names)
+        (arm,) = open_session(folder, given, single=True, ahead=False, together=True).values()
     except InputError as error:
         note(f"images alone are used: {error}")
         return None
-    frames = tuple(files.changed(mask=None) for files in session.frames if files.name in names)
+    frames = tuple(files.changed(mask=None) for files in arm.session.frames if files.name in names)
     if not any(files.readings for files in frames) or any(files.crop is not None for files in frames):
         return None
-    method = FrameMethod("classic", EstimateConfig(threads=threads))
-    return ArmInSession(replace(session, frames=frames), body, method)
+    arm = replace(arm, session=replace(arm.session, frames=frames))
+    return arm.with_config(replace(arm.method.config, threads=threads))
 
 
 def _pictures(images: Mapping[str, Path], arm: ArmInSession | None, hints: Hints, out: Path) -> dict[str, FrameFiles]:

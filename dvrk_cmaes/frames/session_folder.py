@@ -239,15 +239,13 @@ def read_session(
     tool = single if arm is None else entries.tool(arm)
     said = entries.camera if camera is None else CameraEntry(file=camera)
     said = replace(said, right=camera_right or said.right, rectified=rectified or said.rectified)
-    masks = masks or tool.masks
-    if masks is None and tool.label is not None and (root / "labels").is_dir() and not (root / "masks").exists():
-        masks = root / "labels"
+    named = masks or tool.masks or (None if tool.label is None else labels_of(root))
     holder, columns = read_as.arm or tool.arm or None, read_as.columns or tool.columns
     read_as = replace(read_as, arm=holder, columns=columns, known=(*known, *read_as.known))
     joints = joints if joints is None or joints or tool.joints is None else (tool.joints,)
-    mask_folder = masks or next((root / name for name in _MASKS if (root / name).is_dir()), root / _MASKS[0])
+    mask_folder = named or _usual_masks(root)
     stereo = _is_stereo(root, mask_folder)
-    if masks is not None or video is not None or is_session_layout(root) or not is_published_layout(root):
+    if named is not None or video is not None or is_session_layout(root) or not is_published_layout(root):
         frames, readings, times, notes = _session_frames(root, mask_folder, joints, read_as, video)
         notes = ("a session folder of two views" if stereo else "a session folder", *notes)
     else:
@@ -273,7 +271,9 @@ def read_session(
         image_times=times,
         guessed=guessed,
     )
-    return session if tool.arm == "" else _of_tool(session, tool, [own for own in entries.tools if own is not tool])
+    shared = masks or labels_of(root) or _usual_masks(root)
+    others = [(own, own.masks or shared) for own in entries.tools if own is not tool]
+    return session if tool.arm == "" else _of_tool(session, mask_folder, tool, others)
 
 
 def _lens(
@@ -310,11 +310,21 @@ def _lens(
     return read_camera_file(path, rectified=said.rectified, side=side, size=lambda: frames[0].size), False
 
 
-def _of_tool(session: Session, tool: ToolEntry, others: Sequence[ToolEntry]) -> Session:
-    """Return a session with the masks of one tool only; the other tools' pixels do not count.
+def labels_of(root: Path) -> Path | None:
+    """Return a session's folder of labels, which has the masks of a tool with a label if there is no folder masks."""
+    return root / "labels" if (root / "labels").is_dir() and not (root / "masks").exists() else None
 
-    ``session`` was read with the tool's own folder of masks, if it has one. Another tool may be before or behind this
-    one, so its pixels have no information on it, neither as instrument nor as background.
+
+def _usual_masks(root: Path) -> Path:
+    """Return the folder of masks of a session that names none, which need not be there."""
+    return next((root / name for name in _MASKS if (root / name).is_dir()), root / _MASKS[0])
+
+
+def _of_tool(session: Session, read: Path, tool: ToolEntry, others: Sequence[tuple[ToolEntry, Path]]) -> Session:
+    """Return a session with the masks of one tool only; the pixels of the others, each in its folder, do not count.
+
+    ``session`` was ``read`` with the masks in the tool's own folder. Another tool may be before or behind this one, so
+    its pixels have no information on it, neither as instrument nor as background.
 
     Raises
     ------
@@ -322,16 +332,19 @@ def _of_tool(session: Session, tool: ToolEntry, others: Sequence[ToolEntry]) -> 
         The folder of masks of another tool has none, or one is a link that leaves the session.
     """
     masks: dict[str, Mapping[str, Mapping[str, Path]]] = {}
-    for other in others:
-        if other.masks is not None:
-            masks[other.arm] = {view: image_files(other.masks / view) for view in session.view_names}
+    for other, folder in others:
+        if folder != read:
+            masks[other.arm] = {view: image_files(folder / view) for view in session.view_names}
             check_own(session.folder, (path for of_view in masks[other.arm].values() for path in of_view.values()))
             if not any(masks[other.arm].values()):
-                raise InputError(f"{other.masks}: expected masks (PNG or JPEG) of {other.arm}, got none")
+                raise InputError(f"{folder}: expected masks (PNG or JPEG) of {other.arm}, got none")
 
     def of_view(files: FrameFiles, view: str) -> FrameFiles:
         """Return the files of one view of a frame for the tool, with those of its further views."""
-        own = ((other, masks[other.arm][view].get(files.name) if other.masks else files.mask) for other in others)
+        own = (
+            (other, masks[other.arm][view].get(files.name) if folder != read else files.mask)
+            for other, folder in others
+        )
         hiding = (FrameFiles(files.name, mask, label=other.label, pick=other.pick) for other, mask in own if mask)
         more = {name: of_view(each, name) for name, each in files.others.items()}
         return replace(files, label=tool.label, pick=tool.pick, other_tools=tuple(hiding), others=more)

@@ -134,3 +134,15 @@ def test_tools_with_folders_of_masks_ignore_each_other(tmp_path: Path) -> None:
     second = read_session(folder, arm="PSM2")
     assert second.frames[0].mask == folder / "other" / "0000.png"
     assert [tool.mask for tool in second.frames[0].other_tools] == [folder / "masks" / "0000.png"]
+
+
+def test_label_of_a_tool_is_in_the_sessions_masks_where_another_names_a_folder(tmp_path: Path) -> None:
+    folder = make_session(tmp_path / "session", ["0000"])
+    (folder / "masks").rename(folder / "first")
+    (folder / "masks").mkdir()
+    labels = write_labels(folder, slice(20, 60), slice(60, 110))
+    described(folder, '[[tool]]\narm = "PSM1"\nmasks = "first"\n[[tool]]\narm = "PSM2"\nlabel = 2\n')
+    first, second = (read_session(folder, arm=arm) for arm in ("PSM1", "PSM2"))
+    (hidden,) = first.frames[0].other_tools
+    assert (hidden.mask, hidden.label) == (folder / "masks" / "0000.png", (2,))
+    np.testing.assert_array_equal(read_frame(second.frames[0], second.camera).mask, labels == 2)
