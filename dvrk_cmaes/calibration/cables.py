@@ -23,7 +23,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from dvrk_cmaes.calibration.lag import SessionLag
-from dvrk_cmaes.calibration.model import Correction, Deviations, frames_alike
+from dvrk_cmaes.calibration.model import ROLL, Correction, frames_alike
 from dvrk_cmaes.calibration.solve import ArmFrames, Solved
 from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.io.encode import Document, rounded, rounded_array
@@ -41,7 +41,6 @@ _WIDENINGS: Final = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 10.0)  # trial factors on the
 MARGIN: Final = 4.0
 """Nats by which a larger model must be more likely than one offset a joint, for frames fitted with the larger one."""
 _ROLL_AXIS: Final = 5  # of a small change of the root's pose
-_ROLL: Final = 3  # index among the outer joints
 _ALIKE_SECONDS: Final = 1.0  # over which masks err alike, so that their frames count as one
 
 
@@ -95,14 +94,12 @@ class CableFit:
     offset: Float64
     correction: Correction
 
-    def deviations(self, usual: Deviations) -> Deviations:
+    def deviations(self, usual: Float64) -> Float64:
         """Return the standard deviations of corrected readings from frame to frame; the usual ones without parts."""
-        if not self.parts:
-            return usual
-        return Deviations(np.concatenate([usual.outer[:_ROLL], self.noise[:1]]), self.noise[1:], usual.slack)
+        return np.concatenate([usual[:ROLL], self.noise, usual[-6:]]) if self.parts else usual
 
 
-def estimate_cables(solution: Solved, lag: SessionLag, usual: Deviations, *, last: bool) -> tuple[CableFit, CableFit]:
+def estimate_cables(solution: Solved, lag: SessionLag, usual: Float64, *, last: bool) -> tuple[CableFit, CableFit]:
     """Fit the cables of a session; returns the fits of `fit_cables`.
 
     Parameters
@@ -111,7 +108,7 @@ def estimate_cables(solution: Solved, lag: SessionLag, usual: Deviations, *, las
         The frames of an arm that is solved.
     lag
         Has the frames' times, and the readings between them.
-    usual
+    usual : (10 + J,)
         Standard deviations of readings from frame to frame without corrections.
     last
         Whether it is the last round.
@@ -119,10 +116,9 @@ def estimate_cables(solution: Solved, lag: SessionLag, usual: Deviations, *, las
     model, times = solution.model, lag.seconds()
     names = ("roll", *model.names)
     information, vector = observe_errors(solution, solution.weights / frames_alike(times, _ALIKE_SECONDS))
-    readings, prior = np.concatenate([model.outer[:, _ROLL:], model.joints], axis=1), cable_prior(names)
+    readings, prior = np.concatenate([model.outer[:, ROLL:], model.joints], axis=1), cable_prior(names)
     play, offsets = lag.play(names, readings, prior.model.width), solution.calibration.offsets[1:]
-    noise = np.concatenate([usual.outer[_ROLL:], usual.joints])
-    std = model.offset_std[1:]
+    noise, std = usual[ROLL:-6], model.offset_std[1:]
     seen = CableSession(names, readings, times, play, information, vector, offsets, std, noise)
     return fit_cables(seen, prior, MARGIN if last else 0.0)
 
@@ -136,9 +132,8 @@ def observe_errors(solution: ArmFrames, weights: Float64) -> tuple[Float64, Floa
     count = len(model.names)
     bare = replace(model, correction=Correction.none(len(model.outer), count))
     off = bare.predict(calibration).minus(fits.at)
-    outer = bare.outer_loadings(calibration)[:3]
-    spread = np.einsum("kni,knj->nij", outer, outer)
-    spread[:, :6, :6] += np.diag(model.deviations.slack**2)
+    others = np.delete(bare.by_errors(calibration) * model.deviations, slice(ROLL, -6), axis=2)
+    spread = others @ np.swapaxes(others, 1, 2)
     loading = np.zeros((6 + count, 1 + count))
     loading[_ROLL_AXIS, 0] = 1.0
     loading[6:, 1:] = np.eye(count)

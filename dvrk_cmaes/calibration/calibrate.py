@@ -17,7 +17,7 @@ from dvrk_cmaes.calibration.blocks import BASE_AXES, OBSERVABLE, OUTER_OFFSETS
 from dvrk_cmaes.calibration.cables import SessionCables
 from dvrk_cmaes.calibration.document import Agreement, SessionCalibration
 from dvrk_cmaes.calibration.masks_and_sizes import MARGIN, covariance_of_margin
-from dvrk_cmaes.calibration.model import SessionModel, outer_readings
+from dvrk_cmaes.calibration.model import ROLL, SessionModel, outer_readings
 from dvrk_cmaes.calibration.session_camera import rotations_of_session, turns_of
 from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual_insertion
 from dvrk_cmaes.calibration.session_endoscope import UNDETERMINED_ROTATION, SessionEndoscope
@@ -332,7 +332,7 @@ def _covariances(arm: ArmSession) -> Float64:
 
 def _describe_slips(model: SessionModel, i: int, config: SessionConfig) -> list[str]:
     """Describe the joints whose readings have a large error in one frame, one text for each joint."""
-    stds = np.array([model.deviations.outer[3], *model.deviations.joints])
     sigmas = model.inflation[i] * config.tail
-    errors = zip(("roll", *model.names), np.degrees(sigmas * stds).tolist(), sigmas.tolist(), strict=True)
+    degrees = np.degrees(sigmas * model.deviations[ROLL:-6])
+    errors = zip(("roll", *model.names), degrees.tolist(), sigmas.tolist(), strict=True)
     return reasons(*(reading_slipped(*error) for error in errors))

@@ -186,6 +186,9 @@ class _Hypotheses:
         same = replace(model, endoscope=None).calibration(np.eye(4), self._offsets)
         self._read = model.predict(same)  # as seen from the base
         self._relative = model.camera_from_base(model.calibration(np.eye(4), self._offsets))
+        if (endoscope := model.endoscope) is not None:
+            _, by_values, by_own = endoscope.relative(endoscope.start)
+            self._by_endoscope = by_values * endoscope.loose, by_own
         self._root_from_base = inverse(self._read.pose)
         self.of_readings = model.covariance(same)
         self.of_readings[:, 5, 5] += model.offset_std[1] ** 2
@@ -224,15 +227,13 @@ class _Hypotheses:
         transport = np.tile(np.eye(dimension), (len(sources), len(test_frames), 1, 1))
         transport[..., :6, :6] = adjoint(self._root_from_base[test_frames] @ self._read.pose[frame][:, None])
         predicted = transport @ own[:, None] @ np.swapaxes(transport, -1, -2) + self.of_readings[test_frames]
-        if (endoscope := self._model.endoscope) is not None:
-            for base, source, covariance in zip(bases, frame.tolist(), predicted, strict=True):
-                of_both = endoscope.subset(np.append(test_frames, source))
-                moves = of_both.jacobian(endoscope.start, base) * endoscope.loose
-                loads = of_both.loadings(endoscope.start, base)
-                own_load = np.broadcast_to(loads[-1:], loads[:-1].shape)
-                moves = np.concatenate([moves[:-1] - moves[-1], loads[:-1], own_load], axis=2)
-                moves = adjoint(self._root_from_base[test_frames]) @ moves
-                covariance[:, :6, :6] += moves @ np.swapaxes(moves, 1, 2)
+        if self._model.endoscope is not None:
+            by_values, by_own = self._by_endoscope
+            moves = by_values[test_frames] - by_values[frame, None]
+            both = np.broadcast_arrays(by_own[test_frames], by_own[frame, None])
+            moves = np.concatenate([moves, *both], axis=3)
+            moves = adjoint(self._root_from_base[test_frames] @ inverse(bases)[:, None]) @ moves
+            predicted[..., :6, :6] += moves @ np.swapaxes(moves, -1, -2)
         changes = self._arm.modes[test_frames].minus(_for_each_mode(expected))
         return self.judged(predicted, changes, test_frames)
 

@@ -16,10 +16,11 @@ from dvrk_cmaes.calibration.endoscope import Endoscope
 from dvrk_cmaes.calibration.lag import LagCurve
 from dvrk_cmaes.calibration.masks_and_sizes import MARGIN, taken_off
 from dvrk_cmaes.calibration.model import (
+    ROLL,
     Correction,
-    Deviations,
     SessionModel,
     ecm_readings,
+    spread_names,
 )
 from dvrk_cmaes.calibration.session_camera import CAMERA, turns_of
 from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
@@ -28,7 +29,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.rig import V, ViewDocument, turned_views
 from dvrk_cmaes.config import CameraConfig, ReadingSigmas, __version__
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import Float64
+from dvrk_cmaes.geometry import Float64, adjoint, inverse
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.encode import SIGNIFICANT, encoded_fields, rounded, rounded_array, rounded_matrix
 from dvrk_cmaes.io.json_file import read_json_object
@@ -286,17 +287,16 @@ class SessionCalibration:
         endoscope = self.endoscope.in_frames(self.camera_from_base, ecm_readings([readings]), [time], [frame])
         if isinstance(endoscope, str):
             return endoscope
-        values = endoscope.start
         count, covariance = len(self.axes), self.endoscope.covariance
-        move = np.zeros((count, len(covariance)))
-        move[:, :count] = np.eye(count)
-        move[:6, count:] = endoscope.jacobian(values, self.camera_from_base)[0]
+        relative, by_values, own = (one[0] for one in endoscope.relative(endoscope.start))
+        base_from_camera = adjoint(inverse(self.camera_from_base))
+        move, own = np.eye(count, len(covariance)), base_from_camera @ own
+        move[:6, count:] = base_from_camera @ by_values
         given_camera = move @ covariance @ move.T
-        own = endoscope.loadings(values, self.camera_from_base)[0]
         given_camera[:6, :6] += own @ own.T
         return replace(
             self,
-            camera_from_base=np.asarray(endoscope.relative(values)[0] @ self.camera_from_base),
+            camera_from_base=relative @ self.camera_from_base,
             covariance=given_camera + self.covariance - self.covariance_given_camera,
             covariance_given_camera=given_camera,
             blocks={name: block.after(move) for name, block in self.blocks.items()},
@@ -327,28 +327,27 @@ class SessionCalibration:
             raise InputError(
                 f"session: offsets: expected those of {', '.join(names)}, got {', '.join(self.offsets) or 'none'}"
             )
-        needed = ("yaw", "pitch", "insertion", "roll", *joint_names, "slack_translation", "slack_rotation")
+        needed = spread_names(joint_names)
         missing = [name for name in needed if name not in self.spreads]
         if missing:
             raise InputError(f"session: spreads: expected those of {', '.join(needed)}, got no {', '.join(missing)}")
-        values = [self.spreads[name] for name in needed]
+        *of_joints, translation, rotation = (self.spreads[name] for name in needed)
+        deviations = np.array([*of_joints, *[translation] * 3, *[rotation] * 3])
         offsets = np.array(list(self.offsets.values()))
         correction = Correction.none(*joints.shape)
         if self.cables is not None:
-            values[3:-2] = self.cables.alone.noise
+            deviations[ROLL:-6] = self.cables.alone.noise
             offsets[1:] = self.cables.alone.offset
             correction = self.cables.correction_alone(np.concatenate([outer[:, 3:], joints], axis=1))
-        slack = np.array([values[-2]] * 3 + [values[-1]] * 3)
-        spreads = Deviations(np.array(values[:4]), np.array(values[4:-2]), slack)
         model = SessionModel(
             outer=outer,
             joints=joints,
             names=joint_names,
-            usual=spreads,
-            deviations=spreads,
+            usual=deviations,
+            deviations=deviations,
             arm=self.arm,
             roll_offset=self.roll_offset,
-            inflation=self._elsewhere(joints, joint_names, spreads.joints),
+            inflation=self._elsewhere(joints, joint_names, deviations[ROLL + 1 : -6]),
             correction=correction,
             offset_std=np.full(len(names), np.inf),
             endoscope=endoscope,

@@ -8,6 +8,7 @@ errors of its readings at each place where it stands; without readings, of the p
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -72,11 +73,6 @@ class EndoscopeValues:
         return np.asarray(self.poses[0])
 
     @property
-    def offsets(self) -> Float64:
-        """The offsets (4,) of the ECM's joints, rad and m."""
-        return self.numbers[:4]
-
-    @property
     def errors(self) -> Float64:
         """What is added to the readings (P + 1, 4) at the reference, where it is zero, and at P other places."""
         return np.append(np.zeros(4), self.numbers[4:]).reshape(-1, 4)
@@ -124,15 +120,12 @@ class EndoscopeBlock(PredictedBlock):
     def derivative(self, model: SessionModel, calibration: Calibration) -> Float64:
         """Return the changes of the roots' poses by that of the camera."""
         assert model.endoscope is not None
-        assert calibration.endoscope is not None
-        moves = model.endoscope.jacobian(calibration.endoscope, calibration.camera_from_base)
-        out = np.zeros((len(model.outer), 6 + len(model.names), len(self.std)))
-        out[:, :6] = adjoint(inverse(model.base_from_root(calibration.offsets))) @ moves
-        return out
+        moves = model.endoscope.relative(calibration.values[self.name])[1]
+        return np.pad(model.root_from_camera(calibration) @ moves, ((0, 0), (0, len(model.names)), (0, 0)))
 
 
 @dataclass(frozen=True, eq=False)
-class _Moving:
+class _Moving(ABC):
     """Where the endoscope is in each of N frames, as a function of the values of the M unknowns of a ``block``.
 
     ``start`` are the values from which an estimation starts, ``loose`` (M,) their standard deviations.
@@ -141,6 +134,13 @@ class _Moving:
     block: EndoscopeBlock
     start: EndoscopeValues
     loose: Float64
+
+    @abstractmethod
+    def relative(self, values: EndoscopeValues) -> tuple[Float64, Float64, Float64]:
+        """Compute the reference camera's pose (N, 4, 4) in each frame's camera, m, and its changes in its own axes.
+
+        These are (N, 6, M) by the unknowns, and (N, 6, 4) by a standard deviation of a frame's own errors.
+        """
 
 
 Row = tuple[Number, ...]
@@ -203,60 +203,28 @@ class Steered(_Moving):
         """Return the endoscope with other readings (N, 4) of the frames; a frame without has those of its neighbour."""
         return replace(self, read=filled(read))
 
-    def _tips(self, values: EndoscopeValues) -> tuple[Float64, Float64]:
-        """Compute the tip (N, 4, 4) in the frame of the ECM in each frame, m, and its Jacobian (N, 6, 4)."""
+    def cameras(self, values: EndoscopeValues) -> tuple[Float64, Float64]:
+        """Compute the camera (1 + N, 4, 4) in the frame of the ECM, m, at the reference place and in each frame.
+
+        Also returned are its changes (1 + N, 6, M) in its own axes by the unknowns.
+        """
         readings, nearest = np.array([one.readings for one in self.places]), self._away.argmin(axis=1)
         read = np.where(self.place[:, None] >= 0, readings[nearest], self.read)
-        return ecm_from_tip_and_jacobian(read + values.errors[nearest] + values.offsets)
+        numbers = np.eye(4 * len(readings)).reshape(-1, 4, 4 * len(readings))  # what the offsets and errors add
+        numbers[1:] += numbers[0]
+        by_numbers = numbers[np.append(0, nearest)]
+        tip, by_joints = ecm_from_tip_and_jacobian(np.vstack([readings[:1], read]) + by_numbers @ values.numbers)
+        by_numbers = adjoint(inverse(values.tip_from_camera)) @ by_joints @ by_numbers
+        by_hand_eye = np.broadcast_to(in_tip(values.tip_from_camera).T, (len(tip), 6, 6))
+        return tip @ values.tip_from_camera, np.concatenate([by_hand_eye, by_numbers], axis=2)
 
-    def _reference_tip(self, values: EndoscopeValues) -> tuple[Float64, Float64]:
-        """Compute the tip (4, 4) at the reference place, m, and its Jacobian (6, 4)."""
-        return ecm_from_tip_and_jacobian(self.places[0].readings + values.offsets)
-
-    def relative(self, values: EndoscopeValues) -> Float64:
-        """Compute the reference camera's pose (N, 4, 4) in each frame's camera, m."""
-        own, reference, tip_from_camera = self._tips(values)[0], self._reference_tip(values)[0], values.tip_from_camera
-        return np.asarray(inverse(own @ tip_from_camera) @ reference @ tip_from_camera)
-
-    def ecm_from_base(self, values: EndoscopeValues, camera_from_base: Float64) -> tuple[Float64, Float64]:
-        """Compute an arm's base (4, 4) in that of the ECM, and its changes (6, 10) by hand-eye and offsets.
-
-        Parameters
-        ----------
-        values
-            Values of the unknowns, of which the first ten are these.
-        camera_from_base : (4, 4)
-            The arm's base in the reference camera, m, in whose axes the changes are, m and rad.
-        """
-        tip, of_tip = self._reference_tip(values)
-        base_from_camera = adjoint(inverse(camera_from_base))
-        by_hand_eye = base_from_camera @ in_tip(values.tip_from_camera).T
-        by_offsets = base_from_camera @ adjoint(inverse(values.tip_from_camera)) @ of_tip
-        return tip @ values.tip_from_camera @ camera_from_base, np.column_stack([by_hand_eye, by_offsets])
-
-    def jacobian(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:
-        """Compute the changes (N, 6, M) of each frame's camera_from_base by the unknowns."""
-        own, of_joints = self._by_joints(values, camera_from_base)
-        first = self._reference_tip(values)[1]
-        base_from_camera = inverse(camera_from_base)
-        to_base = adjoint(base_from_camera)
-        out = np.zeros((len(self.read), 6, len(self.block.std)))
-        out[:, :, :6] = (to_base - adjoint(own)) @ in_tip(values.tip_from_camera).T
-        out[:, :, 6:10] = of_joints + to_base @ adjoint(inverse(values.tip_from_camera)) @ first
-        for number in range(1, len(self.places)):
-            own_place = self._away.argmin(axis=1) == number
-            out[own_place, :, 6 + 4 * number : 10 + 4 * number] = of_joints[own_place]
-        return out
-
-    def loadings(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:
-        """Compute the changes (N, 6, 4) of camera_from_base by a standard deviation of a frame's own errors."""
-        _, of_joints = self._by_joints(values, camera_from_base)
-        return np.where((self.place < 0)[:, None, None], of_joints * PLACE_STD, 0.0)
-
-    def _by_joints(self, values: EndoscopeValues, camera_from_base: Float64) -> tuple[Float64, Float64]:
-        """Compute the cameras in the base (N, 4, 4), and the changes (N, 6, 4) of the bases by the ECM."""
-        own = inverse(self.relative(values) @ camera_from_base)
-        return own, -adjoint(own @ inverse(values.tip_from_camera)) @ self._tips(values)[1]
+    def relative(self, values: EndoscopeValues) -> tuple[Float64, Float64, Float64]:
+        """Compute the reference camera's pose in each frame's camera, and its changes, as of `_Moving`."""
+        cameras, changes = self.cameras(values)
+        relative = inverse(cameras[1:]) @ cameras[0]
+        by_own = -adjoint(inverse(relative)) @ changes[1:]
+        errors = np.where((self.place < 0)[:, None, None], by_own[:, :, 6:10] * PLACE_STD, 0.0)
+        return relative, changes[0] + by_own, errors
 
     def subset(self, index: Sequence[int] | NDArray[np.integer]) -> Steered:
         """Return the endoscope in the frames at some indices."""
@@ -293,21 +261,13 @@ class Pieces(_Moving):
         std = np.tile(_PIECE_STD, len(cameras))
         return cls(EndoscopeBlock(cameras, std), EndoscopeValues(cameras, np.zeros(0)), 0.1 * std, piece)
 
-    def relative(self, values: EndoscopeValues) -> Float64:
-        """Compute the reference camera's pose (N, 4, 4) in each frame's camera, m."""
-        return np.concatenate([np.eye(4)[None], values.poses])[self.place]
-
-    def jacobian(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:
-        """Compute the changes (N, 6, M) of each frame's camera_from_base by the unknowns."""
-        out = np.zeros((len(self.place), 6, len(self.block.std)))
-        to_base = adjoint(inverse(camera_from_base)) @ in_tip(values.poses).swapaxes(1, 2)
-        for number, of_piece in enumerate(to_base, start=1):
-            out[self.place == number, :, 6 * number - 6 : 6 * number] = of_piece
-        return out
-
-    def loadings(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:
-        """Compute the changes (N, 6, 4) of camera_from_base by a standard deviation of a frame's own errors."""
-        return np.zeros((len(self.place), 6, 4))
+    def relative(self, values: EndoscopeValues) -> tuple[Float64, Float64, Float64]:
+        """Compute the reference camera's pose in each frame's camera, and its changes, as of `_Moving`."""
+        count = len(values.poses)
+        moves = np.zeros((1 + count, 6, count, 6))
+        moves[np.arange(count) + 1, :, np.arange(count)] = in_tip(values.poses).swapaxes(1, 2)
+        poses = np.concatenate([np.eye(4)[None], values.poses])
+        return poses[self.place], moves.reshape(1 + count, 6, -1)[self.place], np.zeros((len(self.place), 6, 4))
 
     def subset(self, index: Sequence[int] | NDArray[np.integer]) -> Pieces:
         """Return the endoscope in the frames at some indices."""

@@ -16,11 +16,10 @@ import numpy as np
 from dvrk_cmaes.calibration.blocks import Calibration, PredictedBlock
 from dvrk_cmaes.calibration.consensus import Consensus, choose_modes, find_consensus
 from dvrk_cmaes.calibration.lag import FRAME_SECONDS, LEAST_AT_LAG, MOVE, LagCurve, SessionLag
-from dvrk_cmaes.calibration.model import SessionModel
+from dvrk_cmaes.calibration.model import ROLL, SessionModel
 from dvrk_cmaes.calibration.session_problem import ArmSession
 from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, solve_arms
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 
 LAG: Final = "lag"
 """Name of the block."""
@@ -149,8 +148,7 @@ def _model_at(arm: ArmSession, value: float) -> SessionModel:
     count, own = len(arm.frames), arm.model.deviations
     spacing = float(np.ptp(arm.lag.times)) / max(count - 1, 1) * arm.lag.unit_seconds
     factor = float(np.sqrt(np.clip(_CABLE_SECONDS / max(spacing, 1e-9), 1.0, count)))
-    outer = own.outer * np.where(np.array(OUTER_JOINTS) == "roll", factor, 1.0)
-    wide = replace(own, outer=outer, joints=factor * own.joints)
+    wide = np.concatenate([own[:ROLL], factor * own[ROLL:-6], own[-6:]])
     return replace(arm.lag.model_at(arm.model, value, smoothed=True), deviations=wide)
 
 

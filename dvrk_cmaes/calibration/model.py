@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,33 +23,30 @@ from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm, base_from_root_and_jaco
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.pose.terms.tips_term import Expected
 
+ROLL: Final = 3
+"""Place of roll among the errors that vary from frame to frame; the instrument's joints follow."""
 _UNREAD_STD = np.pi  # rad, standard deviation of a joint that has no reading
 
 
-@dataclass(frozen=True, eq=False)
-class Deviations:
-    """Standard deviations of the errors that vary from frame to frame (the square roots of the variance components).
+def usual_deviations(config: SessionConfig, joint_names: Sequence[str]) -> Float64:
+    """Return the configured standard deviations (10 + J,) of the errors that vary from frame to frame.
 
-    ``outer`` (4,) is for the readings of the outer joints, rad and m; ``joints`` (J,) for those of the instrument's
-    joints, rad; ``slack`` (6,) for the root's pose along and about its axes, m and rad.
+    They are those of the readings of the outer joints (4,), rad and m, and of the instrument's joints (J,), rad, then
+    of the slack (6,), of the root's pose along and about its axes, m and rad. Their squares are variance components.
     """
+    outer = [np.deg2rad(config.arm_deg)] * 2 + [config.insertion_mm * 1e-3, np.deg2rad(config.roll_deg)]
+    joints = np.deg2rad([config.jaw_deg if name == "jaw" else config.wrist_deg for name in joint_names])
+    return np.array([*outer, *joints, *[config.slack_mm * 1e-3] * 3, *[np.deg2rad(config.slack_deg)] * 3])
 
-    outer: Float64
-    joints: Float64
-    slack: Float64
 
-    @classmethod
-    def of(cls, config: SessionConfig, joint_names: Sequence[str]) -> Deviations:
-        """Return the configured initial values for an instrument's joints."""
-        outer = [np.deg2rad(config.arm_deg)] * 2 + [config.insertion_mm * 1e-3, np.deg2rad(config.roll_deg)]
-        joints = np.deg2rad([config.jaw_deg if name == "jaw" else config.wrist_deg for name in joint_names])
-        slack = [config.slack_mm * 1e-3] * 3 + [np.deg2rad(config.slack_deg)] * 3
-        return cls(np.array(outer), joints, np.array(slack))
+def spread_names(joint_names: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of standard deviations that differ: of all joints, and of the slack's places and rotations."""
+    return (*OUTER_JOINTS, *joint_names, "slack_translation", "slack_rotation")
 
-    def by_name(self, joint_names: Sequence[str]) -> dict[str, float]:
-        """Return them by the names of the joints, and those of the slack by ``slack_translation`` and ``_rotation``."""
-        names = (*OUTER_JOINTS, *joint_names, "slack_translation", "slack_rotation")
-        return dict(zip(names, np.concatenate([self.outer, self.joints, self.slack[[0, 3]]]).tolist(), strict=True))
+
+def named_deviations(deviations: Float64, joint_names: Sequence[str]) -> dict[str, float]:
+    """Return standard deviations (10 + J,) by name."""
+    return dict(zip(spread_names(joint_names), np.delete(deviations, [-5, -4, -2, -1]).tolist(), strict=True))
 
 
 def offset_deviations(config: EstimateConfig, joint_names: Sequence[str]) -> Float64:
@@ -89,8 +87,9 @@ class SessionModel:
         Readings of the instrument's joints, rad; NaN where there is none.
     names
         Names of the instrument's joints.
-    usual, deviations
-        Standard deviations of the errors that vary from frame to frame: their initial values, and those now.
+    usual, deviations : (10 + J,)
+        Standard deviations of the errors that vary from frame to frame, as of `usual_deviations`: their initial
+        values, and those now.
     arm, roll_offset
         Kinematics of the outer arm, as in `base_from_root`.
     inflation : (N, 1 + J)
@@ -106,8 +105,8 @@ class SessionModel:
     outer: Float64
     joints: Float64
     names: tuple[str, ...]
-    usual: Deviations
-    deviations: Deviations
+    usual: Float64
+    deviations: Float64
     arm: Arm
     roll_offset: float
     inflation: Float64
@@ -127,7 +126,7 @@ class SessionModel:
     ) -> SessionModel:
         """Return the model of frames, given the readings of each by joint name, rad and m."""
         names = instrument.joint_names
-        joints, deviations = _columns(readings, names), Deviations.of(config.session, names)
+        joints, deviations = _columns(readings, names), usual_deviations(config.session, names)
         none, std = Correction.none(*joints.shape), offset_deviations(config, names)
         return cls(
             outer=outer_readings(readings),
@@ -153,7 +152,7 @@ class SessionModel:
         """Compute the base (N, 4, 4) in each frame's camera."""
         if self.endoscope is None or calibration.endoscope is None:
             return np.broadcast_to(calibration.camera_from_base, (len(self.outer), 4, 4))
-        return self.endoscope.relative(calibration.endoscope) @ calibration.camera_from_base
+        return np.asarray(self.endoscope.relative(calibration.endoscope)[0] @ calibration.camera_from_base)
 
     @property
     def _has_reading(self) -> Bool:
@@ -207,48 +206,41 @@ class SessionModel:
     @property
     def spreads(self) -> dict[str, float]:
         """Standard deviations from frame to frame by name, for those who correct by the offsets only."""
-        own, off = self.deviations, np.std(self.correction.values, axis=0)
-        outer = np.append(own.outer[:3], np.hypot(own.outer[3], off[0]))
-        return Deviations(outer, np.hypot(own.joints, off[1:]), own.slack).by_name(self.names)
+        off = np.pad(np.std(self.correction.values, axis=0), (ROLL, 6))
+        return named_deviations(np.hypot(self.deviations, off), self.names)
 
-    def by_readings(self, calibration: Calibration) -> Float64:
-        """Compute the changes (N, 6 + J, 4 + J) of the predictions by the readings of outer joints and joints.
+    def root_from_camera(self, calibration: Calibration) -> Float64:
+        """Compute the matrices (N, 6, 6) that turn small changes in the axes of the reference camera to the roots'."""
+        return adjoint(inverse(calibration.camera_from_base @ self.base_from_root(calibration.offsets)))
+
+    def by_errors(self, calibration: Calibration) -> Float64:
+        """Compute the changes (N, 6 + J, 10 + J) of the predictions by the errors that vary from frame to frame.
 
         They are in the root's axes and of the joints, m and rad; zero by a joint that has no reading.
         """
-        count = len(self.names)
-        out = np.zeros((len(self.outer), 6 + count, 4 + count))
-        out[:, :6, :4] = self._kinematics(calibration.offsets)[1]
-        out[:, 6:, 4:] = np.eye(count) * self._has_reading[:, None]
+        out = np.zeros((len(self.outer), 6 + len(self.names), len(self.deviations)))
+        out[:, :6, : ROLL + 1] = self._kinematics(calibration.offsets)[1]
+        out[:, 6:, ROLL + 1 : -6] = np.eye(len(self.names)) * self._has_reading[:, None]
+        out[:, :6, -6:] = np.eye(6)
         return out
 
-    def outer_loadings(self, calibration: Calibration) -> Float64:
-        """Compute the change (4, N, 6 + J) of each frame for one standard deviation of each outer joint's error.
-
-        Changes are in the root's axes, m and rad.
-        """
-        out = np.moveaxis(self.by_readings(calibration)[:, :, :4] * self.deviations.outer, 2, 0)
-        out[3] *= self.inflation[:, :1]
-        return out
+    @property
+    def std(self) -> Float64:
+        """Standard deviations (N, 10 + J) of the errors that vary from frame to frame, in each frame."""
+        return self.deviations * np.pad(self.inflation, ((0, 0), (ROLL, 6)), constant_values=1.0)
 
     def covariance(self, calibration: Calibration) -> Float64:
         """Compute the covariance (N, 6 + J, 6 + J) of each frame's pose and joints, given a calibration.
 
         Axes are the changes of the root's pose in its own axes and the joints, m and rad.
         """
-        count = len(self.names)
-        loadings = self.outer_loadings(calibration)
-        roll = np.square(self.deviations.outer[3] * self.inflation[:, 0])
-        loadings[3] *= np.sqrt(1 + self.correction.variances[:, :1] / roll[:, None])
-        out = np.moveaxis(loadings, 0, 2) @ np.moveaxis(loadings, 0, 1)
-        out[:, :6, :6] += np.diag(self.deviations.slack**2)
+        variances = self.std**2 + np.pad(self.correction.variances, ((0, 0), (ROLL, 6)))
+        by_errors = self.by_errors(calibration)
+        out = (by_errors * variances[:, None]) @ np.swapaxes(by_errors, 1, 2)
+        out[:, 6:, 6:] += np.eye(len(self.names)) * np.where(self._has_reading, 0.0, _UNREAD_STD**2)[:, None]
         if self.endoscope is not None and calibration.endoscope is not None:
-            moves = self.endoscope.loadings(calibration.endoscope, calibration.camera_from_base)
-            moves = adjoint(inverse(self.base_from_root(calibration.offsets))) @ moves
+            moves = self.root_from_camera(calibration) @ self.endoscope.relative(calibration.endoscope)[2]
             out[:, :6, :6] += moves @ np.swapaxes(moves, 1, 2)
-        read = (self.deviations.joints * self.inflation[:, 1:]) ** 2 + self.correction.variances[:, 1:]
-        joint = np.where(self._has_reading, read, _UNREAD_STD**2)
-        out[:, 6:, 6:] += joint[:, :, None] * np.eye(count)
         return np.asarray(out)
 
     def priors(self, calibration: Calibration) -> list[Expected]:

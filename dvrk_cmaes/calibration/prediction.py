@@ -123,7 +123,7 @@ class Prediction:
         prior = model.covariance(own)
         wide = np.diag([_UNREAD_M**2] * 3 + [_UNREAD_RAD**2] * (3 + len(joint_names)))
         prior[~(outer_read if moving is None else outer_read & moving)] += wide
-        prior = _with_readings(prior, model.by_readings(own), late, errors) * np.outer(factor, factor)
+        prior = _with_readings(prior, model.by_errors(own)[:, :, :-6], late, errors) * np.outer(factor, factor)
         of_roll, base_from_root = own.offsets[1] + model.correction.values[:, 0], model.base_from_root(own.offsets)
         shared = jacobian @ covariance @ jacobian.swapaxes(1, 2) * np.outer(factor, factor)
         return cls(model.predict(own), prior, shared, jacobian, base_from_root, joints, of_roll, outer_read)

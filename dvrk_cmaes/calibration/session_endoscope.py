@@ -28,7 +28,7 @@ from dvrk_cmaes.calibration.endoscope import (
 from dvrk_cmaes.calibration.session_frame import SessionFrame
 from dvrk_cmaes.calibration.session_problem import ArmSession
 from dvrk_cmaes.calibration.solve import Solved, solve_with_modes
-from dvrk_cmaes.geometry import Float64, Indices, inverse, log_rotation
+from dvrk_cmaes.geometry import Float64, Indices, adjoint, inverse, log_rotation
 from dvrk_cmaes.instrument.endoscope import STRAIGHT
 from dvrk_cmaes.io.encode import SIGNIFICANT, Document
 from dvrk_cmaes.io.short_text import natural
@@ -230,20 +230,20 @@ class SessionEndoscope(Document):
         if not isinstance(endoscope, Steered):
             return cls(stands, covariance=covariance)
         count = calibration.place(ENDOSCOPE).start
-        jacobian = np.zeros((6, len(covariance)))  # of the arm's base in the ECM's
-        jacobian[:, :6] = np.eye(6)
-        ecm_from_base, jacobian[:, count : count + 10] = endoscope.ecm_from_base(values, base)
+        cameras, changes = endoscope.cameras(values)
+        jacobian = np.eye(6, len(covariance))  # of the arm's base in the ECM's
+        jacobian[:, count:] = adjoint(inverse(base)) @ changes[0]
         whole = covariance + arm.checked.covariance
         std = np.sqrt(np.diag(whole))[count:]
         return cls(
             stands,
             tuple(replace(one, error=_row(error)) for one, error in zip(endoscope.places, values.errors, strict=True)),
             values.tip_from_camera,
-            ecm_from_base,
+            cameras[0] @ base,
             _row(std[:6]),
             _row(np.sqrt(np.diag(jacobian @ whole @ jacobian.T))),
             endoscope.block.expected[0],
-            dict(zip(ECM_JOINTS, values.offsets.tolist(), strict=True)),
+            dict(zip(ECM_JOINTS, values.numbers[:4].tolist(), strict=True)),
             dict(zip(ECM_JOINTS, std[6:10].tolist(), strict=True)),
             covariance,
         )

@@ -28,7 +28,7 @@ from dvrk_cmaes.calibration.frame_fit import IN_SESSION, WHERE_IT_IS, starts_of
 from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, in_common
 from dvrk_cmaes.calibration.lag_search import find_lag
 from dvrk_cmaes.calibration.masks_and_sizes import MARGIN, square_left
-from dvrk_cmaes.calibration.model import Deviations, SessionModel, ecm_readings, frames_alike, outer_readings
+from dvrk_cmaes.calibration.model import SessionModel, ecm_readings, frames_alike, outer_readings, usual_deviations
 from dvrk_cmaes.calibration.session_camera import (
     CAMERA,
     IMPLAUSIBLE,
@@ -252,7 +252,7 @@ def _estimated(arms: Arms) -> Arms:
 
 def _with_cables(arm: ArmSession) -> ArmSession:
     """Fit what cables do to the readings, besides the blocks: `cables` says why."""
-    usual = Deviations.of(arm.setup.config.session, arm.model.names)
+    usual = usual_deviations(arm.setup.config.session, arm.model.names)
     cables = estimate_cables(arm.solution, arm.lag, usual, last=arm.last)
     usual, own = (cables[0].deviations(one) for one in (usual, arm.model.deviations))
     model = replace(arm.model, correction=cables[0].correction, deviations=own, usual=usual)

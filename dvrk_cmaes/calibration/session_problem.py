@@ -119,7 +119,7 @@ class ArmSession(ArmModes):
         readings = [frame.result.readings for frame in frames]
         model = SessionModel.of(readings, setup.instrument, setup.config, setup.arm)
         read, alike = [frame.name for frame in frames], setup.config.session.alike_seconds
-        lag = SessionLag.of(setup.series, read, model.deviations.outer, setup.lag, alike)
+        lag = SessionLag.of(setup.series, read, model.deviations[:4], setup.lag, alike)
         modes = vars(ArmModes.of_results(model, [frame.result for frame in frames]))
         change = np.zeros(3) if setup.refine_camera else None
         return cls(**modes, setup=setup, frames=tuple(frames), lag=lag, rig=rig or {}, change=change)

@@ -22,7 +22,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.blocks import Calibration, TestedBlock
 from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, ArmModes, choose_modes
-from dvrk_cmaes.calibration.model import Deviations, SessionModel
+from dvrk_cmaes.calibration.model import ROLL, SessionModel
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import Bool, Float64, Indices, Posed
 from dvrk_cmaes.pose.refine.information import Eliminated, eliminate, times
@@ -363,12 +363,8 @@ def estimate_variances(solution: Solved, config: SessionConfig) -> Solved:
         Limits of the standard deviations, and the weight of their initial values.
     """
     model, frames = solution.model, solution.eliminated
-    first, now = (np.concatenate([*vars(one).values()]) for one in (model.usual, model.deviations))
-    joints, weights = len(model.names), solution.weights
-    # of standard normal errors of outer joints, joints and slack, (N, 6 + J, 10 + J)
-    own = np.roll(np.eye(6 + joints), 6, axis=0) * now[4:]
-    own = own * np.hstack([model.inflation[:, 1:], np.ones((len(weights), 6))])[:, None]
-    loadings = np.concatenate([np.moveaxis(model.outer_loadings(solution.calibration), 0, 2), own], axis=2)
+    first, joints, weights = model.usual, len(model.names), solution.weights
+    loadings = model.by_errors(solution.calibration) * model.std[:, None]  # of standard normal errors
     gains = np.linalg.solve(model.covariance(solution.calibration), loadings)
     means, spreads = np.einsum("ndk,nd->nk", gains, frames.deviation), frames.covariance @ gains
     squares = means**2 + 1 - (gains * loadings).sum(axis=1) + (gains * spreads).sum(axis=1)
@@ -376,11 +372,10 @@ def estimate_variances(solution: Solved, config: SessionConfig) -> Solved:
         squares[:, alike] = squares[:, alike].mean(axis=1, keepdims=True)
     factors = config.arm_std_factor, config.arm_std_factor / 2, config.cable_std_factor, 1.0
     most = first * np.repeat(factors, [2, 1, 1 + joints, 6])
-    total = config.spread_frames * first**2 + weights @ np.minimum(squares * now**2, most**2)
+    total = config.spread_frames * first**2 + weights @ np.minimum(squares * model.deviations**2, most**2)
     values = np.sqrt(total / (config.spread_frames + weights.sum()))
     values[:3] = np.maximum(values[:3], first[:3])
-    standardised = np.abs(frames.deviation[:, 5:]) / values[3:-6]
+    standardised = np.abs(frames.deviation[:, 5:]) / values[ROLL:-6]
     largest = [_MAX_ROLL_INFLATION] + [_MAX_JOINT_INFLATION] * joints
     inflation = np.clip(standardised / config.tail, 1.0, largest)
-    model = replace(model, deviations=Deviations(*np.split(values, [4, 4 + joints])), inflation=inflation)
-    return replace(solution, model=model)
+    return replace(solution, model=replace(model, deviations=values, inflation=inflation))

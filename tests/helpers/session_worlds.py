@@ -13,7 +13,7 @@ import numpy as np
 
 from dvrk_cmaes import Body, Camera, EstimateConfig, FrameData, Instrument, Result, SessionCalibration, SessionFrame
 from dvrk_cmaes.calibration.blocks import BASE_AXES
-from dvrk_cmaes.calibration.model import Deviations
+from dvrk_cmaes.calibration.model import named_deviations, usual_deviations
 from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.results.result import Alternative, Quality
@@ -124,7 +124,7 @@ def true_calibration(
     names = ("insertion", "roll", *body.instrument.joint_names)
     true = [{**truth.outer, **truth.joints} for truth in truths]
     off = [[t[name] - f.result.readings[name] for name in names] for t, f in zip(true, frames, strict=True)]
-    spreads = Deviations.of(SessionConfig(), body.instrument.joint_names)
+    spreads = usual_deviations(SessionConfig(), body.instrument.joint_names)
     covariance = np.diag([*[(3e-4) ** 2] * 3, *[np.deg2rad(0.3) ** 2] * 3, *[1e-6] * len(names)])
     return SessionCalibration(
         instrument=body.instrument.name,
@@ -133,7 +133,7 @@ def true_calibration(
         axes=(*BASE_AXES, *names),
         covariance=covariance,
         covariance_given_camera=covariance,
-        spreads=spreads.by_name(body.instrument.joint_names),
+        spreads=named_deviations(spreads, body.instrument.joint_names),
         frames=tuple(frame.name for frame in frames),
         iou=0.95,
         contour_px_95=2.0,
