@@ -21,6 +21,7 @@ from dvrk_cmaes.calibration.consensus import (
     check_arm,
     check_motion,
     choose_modes,
+    evenly_spaced,
     find_consensus_at_any_roll,
 )
 from dvrk_cmaes.calibration.endoscope import Pieces, Place, Steered
@@ -47,6 +48,7 @@ from dvrk_cmaes.pose.expected_error import file_covariance
 
 _PASSES = 6  # largest number of linearisations of the outlines
 _ROUNDS = 3  # in which frames and blocks are estimated in turn
+_FEW = 100  # frames, by which the tested blocks are estimated; others near them in time err alike
 _NEAR = 1.0  # standard deviations per parameter, by which fits move to where the last solution expects them
 _MOVED_SHARE = 0.1  # of the frames, that agree only if the session is cut where its base moved
 _AGREE: Final = 4.0  # standard deviations of each unknown, within which arms find the same endoscope
@@ -277,18 +279,20 @@ def _with_seen(arms: Arms, *, last: bool) -> Arms:
         else:
             margin = next(one for one in own.calibration.tested if one.name == MARGIN)
             arm = replace(arm, margin=margin.stated(*estimates[0].shown_of(margin))[0])
-        out.append(arm.with_calibration(own.calibration.alone(), moved=own.at))
+        whole = own if len(arm.frames) <= _FEW else replace(arm.outlines(tested=True), calibration=own.calibration)
+        out.append(arm.with_calibration(own.calibration.alone(), moved=whole.at))
     return out
 
 
 def _tested(arms: Arms, passes: int = _PASSES) -> list[Solved]:
-    """Estimate the blocks that are tested with the calibrations of arms.
+    """Estimate the blocks that are tested with the calibrations of arms, by few of many frames.
 
     Frames are fitted again with the blocks that are found, until these are settled.
     """
-    for _ in range(passes):
+    arms = [arm.subset(evenly_spaced(len(arm.frames), _FEW)) for arm in arms]
+    for left in reversed(range(passes)):
         found = solve_with_variances([arm.outlines(tested=True) for arm in arms], arms[0].setup.config.session)
-        if all(own.is_settled for own in found) or not all(own.is_plausible for own in found):
+        if not left or all(own.is_settled for own in found) or not all(own.is_plausible for own in found):
             break
         pairs = zip(arms, found, strict=True)
         arms = [_fitted(arm.with_solution(own, moved=own.at, seen=own.calibration.values)) for arm, own in pairs]

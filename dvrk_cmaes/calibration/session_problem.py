@@ -149,8 +149,13 @@ class ArmSession(ArmModes):
         return replace(self, found=replace(self.solution, calibration=calibration), **changes)
 
     def subset(self, index: Sequence[int] | Indices) -> ArmSession:
-        """Return the arm with the frames at some indices, before their first fit."""
-        return replace(super().subset(index), frames=tuple(self.frames[i] for i in index), lag=self.lag.subset(index))
+        """Return the arm with the frames at some indices, and their fits, before the next solution."""
+        stored, fits = (
+            tuple(self.stored[i] for i in index if self.stored),
+            tuple(self.fits[i] for i in index if self.fits),
+        )
+        frames, lag = tuple(self.frames[i] for i in index), self.lag.subset(index)
+        return replace(super().subset(index), frames=frames, stored=stored, fits=fits, lag=lag)
 
     def noted(self, *, remarks: Sequence[str] = (), undetermined: Sequence[str] = ()) -> ArmSession:
         """Return the arm with further texts."""

@@ -113,12 +113,11 @@ def held_in(view: FrameView, at: Posed) -> Bool | None:
     away = cv2.distanceTransform((~silhouette).astype(np.uint8), cv2.DIST_L2, 5)
     beyond = (evidence.mask & (away > _NEAR_PX)).astype(np.uint8)
     thickness = 2 * cv2.distanceTransform(beyond, cv2.DIST_L2, 5)
-    count, labels = cv2.connectedComponents(beyond, connectivity=8)
-    held = np.zeros_like(silhouette)
-    for number in range(1, count):
-        own = labels == number
-        if thickness[own].max() < _THICK * width and away[own].max() > _REACH * width:
-            held |= own
+    parts = np.asarray(cv2.connectedComponents(beyond, connectivity=8)[1], np.intp)
+    inside, largest = parts > 0, np.zeros((2, int(parts.max()) + 1))
+    for own, of_part in zip((thickness, away), largest, strict=True):
+        np.maximum.at(of_part, parts[inside], np.asarray(own[inside], np.float64))
+    held = ((largest[0] < _THICK * width) & (largest[1] > _REACH * width))[parts]
     if not held.any():
         return None
     around = cv2.dilate(held.astype(np.uint8), np.ones((2 * _NEAR_PX + 3,) * 2, np.uint8)) > 0
