@@ -71,13 +71,14 @@ class ArmModes:
 class Consensus:
     """A calibration with what N frames say of it, each by its most likely mode.
 
-    ``misfit`` (N,) is the squared Mahalanobis distance of that mode from the prediction divided by D. ``cost`` (N,) is
-    twice the negative log-likelihood per degree of freedom, up to a constant, and at most that of an outlier. It
-    includes the determinant of the covariance, since a hypothesis from an uncertain mode has a small misfit in every
-    frame.
+    ``chosen`` (N,) are the numbers of these modes. ``misfit`` (N,) is the squared Mahalanobis distance of the mode from
+    the prediction divided by D. ``cost`` (N,) is twice the negative log-likelihood per degree of freedom, up to a
+    constant, and at most that of an outlier. It includes the determinant of the covariance, since a hypothesis from an
+    uncertain mode has a small misfit in every frame.
     """
 
     calibration: Calibration
+    chosen: Indices
     misfit: Float64
     cost: Float64
 
@@ -123,12 +124,11 @@ def find_consensus(
     return hypotheses.consensus(candidates[best], np.arange(len(arm.counts)))
 
 
-def agreement(arm: ArmModes, calibration: Calibration) -> Consensus:
-    """Return what the frames of an arm say of a calibration, whose errors are not counted."""
-    hypotheses = _Hypotheses(arm, float(calibration.offsets[1]))
-    expected = arm.model.predict(arm.model.calibration(calibration.camera_from_base, calibration.offsets))
-    changes = arm.modes.minus(_for_each_mode(expected))
-    return Consensus(calibration, *hypotheses.judged(hypotheses.of_readings, changes, np.arange(len(arm.counts))))
+def agreement(arm: ArmModes, calibration: Calibration, roll_std: float = 0.0) -> Consensus:
+    """Return what the frames of an arm say of a calibration, whose errors are not counted, with one of each roll."""
+    covariance = arm.model.covariance(calibration) + arm.covariances
+    covariance[:, 5, 5] += roll_std**2
+    return Consensus(calibration, *_judged(arm.modes, arm.model.predict(calibration), covariance))
 
 
 def find_consensus_at_any_roll(arm: ArmModes) -> Consensus:
@@ -152,27 +152,17 @@ def find_consensus_at_any_roll(arm: ArmModes) -> Consensus:
     return replace(best, calibration=model.calibration(best.calibration.camera_from_base, best.calibration.offsets))
 
 
-def choose_modes(arm: ArmModes, calibration: Calibration) -> Indices:
-    """Return the number (N,) of each frame's mode with the least Mahalanobis distance from a prediction."""
-    changes = arm.modes.minus(_for_each_mode(arm.model.predict(calibration)))
-    squares, _ = _distances(changes, (arm.model.covariance(calibration) + arm.covariances)[:, None])
-    return np.asarray(squares.argmin(axis=1))
+def _judged(modes: Posed, expected: Posed, covariance: Float64) -> tuple[Indices, Float64, Float64]:
+    """Judge predictions (..., V) of frames by their modes (V, M): the most likely one's number, misfit and cost.
 
-
-def _for_each_mode(at: Posed) -> Posed:
-    """Return predictions (..., N) with a further axis of length 1, for the modes of each frame."""
-    return Posed(at.pose[..., None, :, :], at.joints[..., None, :])
-
-
-def _distances(changes: Float64, covariance: Float64) -> tuple[Float64, Float64]:
-    """Return the squared Mahalanobis lengths (...) of changes (..., D), and the logarithms of the determinants.
-
-    Both follow from the Cholesky factors of the covariances (..., D, D).
+    ``covariance`` (..., V, D, D) is that of the modes about the predictions.
     """
-    factor = np.linalg.cholesky(covariance)
-    whitened = np.linalg.solve(factor, changes[..., None])[..., 0]
-    determinants = 2 * np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
-    return np.square(whitened).sum(axis=-1), determinants
+    changes = modes.minus(Posed(expected.pose[..., None, :, :], expected.joints[..., None, :]))
+    factor, dimension = np.linalg.cholesky(covariance), changes.shape[-1]
+    misfits = np.square(np.linalg.solve(factor, np.swapaxes(changes, -1, -2))).mean(axis=-2)
+    spread = 2 * np.log(np.diagonal(factor, axis1=-2, axis2=-1)).mean(axis=-1)
+    outlier_std, misfit = np.append(_OUTLIER_STD, np.full(dimension - 6, _OUTLIER_ANGLE)), misfits.min(axis=-1)
+    return misfits.argmin(axis=-1), misfit, np.minimum(misfit + spread, 2 * np.log(outlier_std).mean() + 1)
 
 
 class _Hypotheses:
@@ -190,8 +180,8 @@ class _Hypotheses:
             _, by_values, by_own = endoscope.relative(endoscope.start)
             self._by_endoscope = by_values * endoscope.loose, by_own
         self._root_from_base = inverse(self._read.pose)
-        self.of_readings = model.covariance(same)
-        self.of_readings[:, 5, 5] += model.offset_std[1] ** 2
+        self._of_readings = model.covariance(same)
+        self._of_readings[:, 5, 5] += model.offset_std[1] ** 2
 
     def _calibrations(self, sources: Indices) -> tuple[Float64, Float64]:
         """Return the bases (H, 4, 4) and offsets (H, 2 + J) of the calibrations that predict modes of frames.
@@ -208,25 +198,25 @@ class _Hypotheses:
         """Return the sums (H,) of the costs of test frames (V,) by the calibrations from ``sources`` (H, 2)."""
         at_once = max(1, MOST_AT_ONCE // (len(test_frames) * self._arm.modes.pose.shape[1]))
         parts = (sources[first : first + at_once] for first in range(0, len(sources), at_once))
-        return np.concatenate([self._tested(part, test_frames)[1].sum(axis=1) for part in parts])
+        return np.concatenate([self._tested(part, test_frames)[-1].sum(axis=1) for part in parts])
 
     def consensus(self, source: Indices, test_frames: Indices) -> Consensus:
         """Return what test frames (V,) say of the calibration that is made from a frame and one of its modes (2,)."""
         ((base,), (offsets,)), tested = self._calibrations(source[None]), self._tested(source[None], test_frames)
         return Consensus(self._model.calibration(base, offsets), *(one[0] for one in tested))
 
-    def _tested(self, sources: Indices, test_frames: Indices) -> tuple[Float64, Float64]:
-        """Test the calibrations from ``sources`` (H, 2) on test frames (V,): misfit and cost, (H, V) each."""
+    def _tested(self, sources: Indices, test_frames: Indices) -> tuple[Indices, Float64, Float64]:
+        """Test the calibrations from ``sources`` (H, 2) on test frames (V,), as of `_judged`, (H, V) each."""
         (bases, offsets), frame = self._calibrations(sources), sources[:, 0]
         read = self._read[test_frames]
         pose = self._relative[test_frames] @ bases[:, None] @ read.pose
         expected = Posed(pose, read.joints + offsets[:, None, 2:])
         dimension = 6 + expected.joints.shape[-1]
         # covariance of the hypothesis: of the mode that it was made from, and of that frame's readings
-        own = self._arm.covariances[frame] + self.of_readings[frame]
+        own = self._arm.covariances[frame] + self._of_readings[frame]
         transport = np.tile(np.eye(dimension), (len(sources), len(test_frames), 1, 1))
         transport[..., :6, :6] = adjoint(self._root_from_base[test_frames] @ self._read.pose[frame][:, None])
-        predicted = transport @ own[:, None] @ np.swapaxes(transport, -1, -2) + self.of_readings[test_frames]
+        predicted = transport @ own[:, None] @ np.swapaxes(transport, -1, -2) + self._of_readings[test_frames]
         if self._model.endoscope is not None:
             by_values, by_own = self._by_endoscope
             moves = by_values[test_frames] - by_values[frame, None]
@@ -234,24 +224,7 @@ class _Hypotheses:
             moves = np.concatenate([moves, *both], axis=3)
             moves = adjoint(self._root_from_base[test_frames] @ inverse(bases)[:, None]) @ moves
             predicted[..., :6, :6] += moves @ np.swapaxes(moves, -1, -2)
-        changes = self._arm.modes[test_frames].minus(_for_each_mode(expected))
-        return self.judged(predicted, changes, test_frames)
-
-    def judged(self, predicted: Float64, changes: Float64, test_frames: Indices) -> tuple[Float64, Float64]:
-        """Judge calibrations by the changes (..., V, M, D) of modes from what they predict.
-
-        ``predicted`` (..., V, D, D) is the covariance of the prediction. Returns misfit and cost of the most likely
-        mode of each frame, (..., V) each.
-        """
-        dimension = changes.shape[-1]
-        total = (predicted + self._arm.covariances[test_frames])[..., None, :, :]
-        misfit, log_determinant = (one / dimension for one in _distances(changes, total))
-        outlier_std = np.concatenate([_OUTLIER_STD, np.full(dimension - 6, _OUTLIER_ANGLE)])
-        outlier_cost = 2 * np.log(outlier_std).sum() / dimension + 1
-        cost = np.minimum(misfit + log_determinant, outlier_cost)
-        best = (misfit + log_determinant).argmin(axis=-1)[..., None]
-        misfit, cost = (np.take_along_axis(one, best, -1)[..., 0] for one in (misfit, cost))
-        return misfit, cost
+        return _judged(self._arm.modes[test_frames], expected, predicted + self._arm.covariances[test_frames])
 
 
 _STILL_RAD, _STILL_M = np.deg2rad(0.05), 2e-4  # standard deviation below which readings are constant

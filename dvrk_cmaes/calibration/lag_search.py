@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from dvrk_cmaes.calibration.blocks import Calibration, PredictedBlock
-from dvrk_cmaes.calibration.consensus import Consensus, choose_modes, find_consensus
+from dvrk_cmaes.calibration.consensus import Consensus, agreement, find_consensus
 from dvrk_cmaes.calibration.lag import FRAME_SECONDS, LEAST_AT_LAG, MOVE, LagCurve, SessionLag
 from dvrk_cmaes.calibration.model import ROLL, SessionModel
 from dvrk_cmaes.calibration.session_problem import ArmSession
@@ -163,7 +163,7 @@ def _estimate(arm: ArmSession, start: float, step: float) -> tuple[float, float]
     if consensus is None or len(has) < LEAST_AT_LAG:
         return None
     own = arm.subset(has[np.argsort(known.times[has], kind="stable")])
-    chosen = choose_modes(replace(own, model=own.lag.model_at(own.model, start)), consensus.calibration)
+    chosen = agreement(replace(own, model=own.lag.model_at(own.model, start)), consensus.calibration).chosen
     alike = len(has) / own.lag.independent
     block = LagBlock(FARTHEST[known.readings.unit] / np.sqrt(alike), partial(_model_at, own), _DIFFERENCE * step)
     begun = consensus.calibration.with_blocks(block, **{LAG: np.array([start])})

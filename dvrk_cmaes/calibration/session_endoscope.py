@@ -101,7 +101,7 @@ def find_pieces(arm: ArmModes, consensus: Consensus, alike: float) -> Pieces | N
     bases = _bases_of_runs(arm, float(consensus.calibration.offsets[1]))
     pieces = np.zeros(0, np.intp)
     for _ in range(_MOST_SEARCHES if bases else 0):
-        costs = np.array([agreement(arm, base).cost for base in bases]) / alike
+        costs = np.array([agreement(arm, base, arm.model.offset_std[1]).cost for base in bases]) / alike
         before, (pieces, cameras, solution) = pieces, _solved(arm, bases, _fewest_changes(costs))
         if np.array_equal(before, pieces):
             break

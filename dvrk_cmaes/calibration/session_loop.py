@@ -18,9 +18,9 @@ import numpy as np
 from dvrk_cmaes.calibration.blocks import BlockCheck, FoundBlock
 from dvrk_cmaes.calibration.cables import estimate_cables
 from dvrk_cmaes.calibration.consensus import (
+    agreement,
     check_arm,
     check_motion,
-    choose_modes,
     evenly_spaced,
     find_consensus_at_any_roll,
 )
@@ -220,7 +220,7 @@ def _fitted(arm: ArmSession) -> ArmSession:
         agrees = [clear and fit.explains_mask for clear, fit in zip(agrees, arm.fits, strict=True)]
         before = [(arm.at[k],) for k in range(len(arm.frames))]
     else:
-        of_frames = zip(agrees, choose_modes(arm, arm.calibration).tolist(), arm.counts.tolist(), strict=True)
+        of_frames = zip(agrees, agreement(arm, arm.calibration).chosen.tolist(), arm.counts.tolist(), strict=True)
         numbers = [(best,) if clear else range(count) for clear, best, count in of_frames]
         before = [tuple(arm.modes[i][k] for k in of_frame) for i, of_frame in enumerate(numbers)]
     fits = arm.fits if arm.moved is None and arm.fits else (None,) * len(arm.frames)

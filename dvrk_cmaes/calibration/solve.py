@@ -21,7 +21,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from dvrk_cmaes.calibration.blocks import Calibration, TestedBlock
-from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, ArmModes, choose_modes
+from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, ArmModes, agreement
 from dvrk_cmaes.calibration.model import ROLL, SessionModel
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import Bool, Float64, Indices, Posed
@@ -274,11 +274,11 @@ def solve_arms(arms: Sequence[ArmFrames]) -> list[Solved]:
 
 def solve_with_modes(arm: ArmModes, start: Calibration) -> Solved:
     """Alternate between choosing a mode of each frame and estimating the calibration from these, from a first one."""
-    chosen = choose_modes(arm, start)
+    chosen = agreement(arm, start).chosen
     for _ in range(_MODE_ITERATIONS):
         solution = solve_arms([ArmFrames(arm.model, FrameFits.of_modes(arm, chosen), start)])[0]
         before, start = chosen, solution.calibration
-        chosen = choose_modes(arm, start)
+        chosen = agreement(arm, start).chosen
         if np.array_equal(chosen, before):
             break
     return solution
