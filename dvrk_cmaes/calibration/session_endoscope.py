@@ -27,7 +27,7 @@ from dvrk_cmaes.calibration.endoscope import (
 )
 from dvrk_cmaes.calibration.session_frame import SessionFrame
 from dvrk_cmaes.calibration.session_problem import ArmSession
-from dvrk_cmaes.calibration.solve import Solved, solve_with_modes
+from dvrk_cmaes.calibration.solve import solve_with_modes
 from dvrk_cmaes.geometry import Float64, Indices, adjoint, inverse, log_rotation
 from dvrk_cmaes.instrument.endoscope import STRAIGHT
 from dvrk_cmaes.io.encode import SIGNIFICANT, Document
@@ -43,7 +43,6 @@ LEAST_PIECE: Final = 3
 _LEAST_WINDOW, _MOST_WINDOWS = 4, 30  # frames of a run that is solved by itself, and number of these
 _AGREE: Final = 0.75  # share of a run's frames that agree on one base
 _CHANGE: Final = 12.0  # penalty for a change of the base, where a frame that is off costs at most 4
-_MOST_SEARCHES: Final = 6
 
 
 def find_hand_eye(arm: ArmModes, steered: Steered) -> Steered:
@@ -77,8 +76,8 @@ def find_pieces(arm: ArmModes, consensus: Consensus, alike: float) -> Pieces | N
     """Find the pieces of a session whose base or camera moved without readings that show, None if it stood still.
 
     A change-point search: the pieces are those of least cost, the sum of the frames' robust costs at the base of their
-    piece and of a penalty for each change. Bases to choose from are at first those of short runs of consecutive frames,
-    solved by themselves; then those of the pieces found, solved with shared offsets, until the pieces stay.
+    piece and of a penalty for each change. Bases to choose from are those of short runs of consecutive frames, solved
+    by themselves.
 
     Parameters
     ----------
@@ -99,35 +98,14 @@ def find_pieces(arm: ArmModes, consensus: Consensus, alike: float) -> Pieces | N
     if not (runs == LEAST_PIECE).any():  # no consecutive frames disagree together
         return None
     bases = _bases_of_runs(arm, float(consensus.calibration.offsets[1]))
-    pieces = np.zeros(0, np.intp)
-    for _ in range(_MOST_SEARCHES if bases else 0):
-        costs = np.array([agreement(arm, base, arm.model.offset_std[1]).cost for base in bases]) / alike
-        before, (pieces, cameras, solution) = pieces, _solved(arm, bases, _fewest_changes(costs))
-        if np.array_equal(before, pieces):
-            break
-        found = solution.calibration.alone(without=ENDOSCOPE)
-        bases = [found, *(found.with_blocks(base=move @ found.camera_from_base) for move in cameras)]
-    return Pieces.of(pieces, cameras) if pieces.any() else None
-
-
-def _solved(arm: ArmModes, bases: Sequence[Calibration], place: Indices) -> tuple[Indices, Float64, Solved]:
-    """Solve N frames, each of which is at one of some bases (N,), with all else shared.
-
-    Returns the numbers of their pieces (N,), that with most frames first, the reference camera in the others (P, 4, 4),
-    and the solution.
-    """
-    held, number, counts = np.unique(place, return_inverse=True, return_counts=True)
+    if not bases:
+        return None
+    costs = np.array([agreement(arm, base, arm.model.offset_std[1]).cost for base in bases]) / alike
+    held, number, counts = np.unique(_fewest_changes(costs), return_inverse=True, return_counts=True)
     order = np.argsort(-counts, kind="stable")
-    pieces, start = np.argsort(order)[number], bases[held[order[0]]]
-    moves = [bases[k].camera_from_base @ inverse(start.camera_from_base) for k in held[order[1:]]]
-    cut = Pieces.of(pieces, np.array(moves).reshape(-1, 4, 4))
-    if not moves:
-        return pieces, cut.start.poses, solve_with_modes(arm, start)
-    start = start.with_blocks(cut.block, endoscope=cut.start)
-    solution = solve_with_modes(replace(arm, model=replace(arm.model, endoscope=cut)), start)
-    values = solution.calibration.endoscope
-    assert values is not None
-    return pieces, values.poses, solution
+    first, *others = (bases[k].camera_from_base for k in held[order])
+    moves = np.array([base @ inverse(first) for base in others])
+    return Pieces.of(np.argsort(order)[number], moves) if others else None
 
 
 def _bases_of_runs(arm: ArmModes, roll: float) -> list[Calibration]:
