@@ -315,7 +315,10 @@ def checked(arms: Arms) -> Arms:
     passes = 1 if refined or reason == _NOT_ASKED else _PASSES
     found = _tested(arms, passes)
     if far := passes > 1 and not all(own.is_plausible for own in found):
+        counted = all(own.is_counted for own in found)
         found = _tested(arms, passes=1)
+        if not counted or not all(own.is_plausible for own in found):
+            reason = reason or IMPLAUSIBLE
     out = [_checked(*each, reason, far=far) for each in zip(arms, found, strict=True)]
     return [_with_evidence(arm) for arm in out] if refined else out
 
