@@ -84,6 +84,10 @@ class PredictedBlock(Block, ABC):
     def derivative(self, model: SessionModel, calibration: Calibration) -> Float64:
         """Return the changes (N, 6 + J, n) of the predictions by a step, in the roots' axes, m and rad."""
 
+    def carried(self, derivative: Float64, calibration: Calibration) -> Float64:
+        """Return the derivative (N, 6 + J, K) by blocks before this one after its change; by default the same."""
+        return derivative
+
 
 class Base(PredictedBlock):
     """The arm's base (4, 4) in the camera, with a prior of a metre and a radian; steps are in the base's axes."""

@@ -223,8 +223,12 @@ class WholeSize(Sizes, PredictedBlock):
 
     def derivative(self, model: SessionModel, calibration: Calibration) -> Float64:
         """Return the derivative of the changes by the logarithm of the size."""
-        share = np.exp(-calibration.values[self.name].item())
-        return np.asarray(-share * self._from_camera(model, calibration)[:, :, None])
+        return -self.carried(self._from_camera(model, calibration)[:, :, None], calibration)
+
+    def carried(self, derivative: Float64, calibration: Calibration) -> Float64:
+        """Return the derivative by other blocks, of which the places of the roots are nearer in proportion."""
+        nearer = np.exp(-calibration.values[self.name].item())
+        return derivative * np.where(np.arange(derivative.shape[1]) < 3, nearer, 1.0)[:, None]
 
     def _from_camera(self, model: SessionModel, calibration: Calibration) -> Float64:
         """Return the roots' places (N, 6 + J) from the camera along their own axes, m, and zeros."""

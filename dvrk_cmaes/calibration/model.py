@@ -199,6 +199,7 @@ class SessionModel:
         further = np.concatenate([np.zeros(0, np.intp), *(np.r_[place] for place in places)])
         out = np.zeros((len(self.outer), count + len(further), len(calibration.deviation)))
         for block in calibration.predicted:
+            out[:, :count] = block.carried(out[:, :count], calibration)
             out[:, :count, calibration.place(block.name)] = block.derivative(self, calibration)
         out[:, count + np.arange(len(further)), further] = 1.0
         return out

@@ -20,7 +20,8 @@ def test_predicted_blocks_have_the_derivatives_of_what_they_predict(bundled_body
     endoscope = Steered.of(np.repeat([[0.0, 0.1, 0.05, 0.0], [0.2, 0.0, 0.08, 0.3]], 3, axis=0))
     model = SessionModel.of(readings, instrument, config, "classic", endoscope)
     base = moved(np.eye(4), np.array([0.01, 0.05, 0.1, 0.4, -0.3, 0.2]))
-    at = model.calibration(base, np.zeros(2 + len(instrument.joint_names))).with_blocks(WholeSize(config, SMALL))
+    at = model.calibration(base, np.zeros(2 + len(instrument.joint_names)))
+    at = at.with_blocks(WholeSize(config, SMALL), size=np.array([0.2]))
     found = model.jacobian(at)
     for number, one in enumerate(1e-6 * np.eye(found.shape[2])):
         ahead, behind = (model.predict(at.changed(step)) for step in (one, -one))
