@@ -303,7 +303,9 @@ def checked(arms: Arms) -> Arms:
     """Check camera, instrument and other blocks of arms that are solved, and note what is found of the camera.
 
     Where a camera that is not used is not plausible, only what the frames show at that of the file is left, which may
-    contradict it or say nothing. The evidence of the returned arms is as seen by the camera that is used.
+    contradict it or say nothing. Where that is not plausible either, or no outlines explain their masks with the camera
+    that is found, only the margin of the masks is determined. The evidence of the returned arms is as seen by the
+    camera that is used.
     """
     for arm in arms:
         arm.setup.progress("checking the camera", len(arm.frames))
@@ -314,19 +316,19 @@ def checked(arms: Arms) -> Arms:
         reason = _NOT_ASKED
     passes = 1 if refined or reason == _NOT_ASKED else _PASSES
     found = _tested(arms, passes)
+    lost = False
     if far := passes > 1 and not all(own.is_plausible for own in found):
-        counted = all(own.is_counted for own in found)
-        found = _tested(arms, passes=1)
-        if not counted or not all(own.is_plausible for own in found):
-            reason = reason or IMPLAUSIBLE
-    out = [_checked(*each, reason, far=far) for each in zip(arms, found, strict=True)]
+        counted, found = all(own.is_counted for own in found), _tested(arms, passes=1)
+        lost = not counted or not all(own.is_plausible for own in found)
+    out = [_checked(*each, reason, far=far, lost=lost) for each in zip(arms, found, strict=True)]
     return [_with_evidence(arm) for arm in out] if refined else out
 
 
-def _checked(arm: ArmSession, solved: Solved, reason: str | None, *, far: bool) -> ArmSession:
+def _checked(arm: ArmSession, solved: Solved, reason: str | None, *, far: bool, lost: bool) -> ArmSession:
     """Judge the estimates of an arm.
 
-    ``reason`` is why the camera is not tested, ``far`` whether its estimate was not plausible.
+    ``reason`` is why the camera is not tested, ``far`` whether its estimate was not plausible, and ``lost`` whether for
+    that nothing but the margin is determined.
     """
     config, blocks = arm.setup.config, dict[str, FoundBlock]()
     errors, covariance = file_covariance(arm.camera, config.camera), np.zeros((arm.calibration.own,) * 2)
@@ -336,9 +338,11 @@ def _checked(arm: ArmSession, solved: Solved, reason: str | None, *, far: bool) 
         if block.name == MARGIN and arm.margin is not None:
             found, left = arm.margin, square_left(arm.margin)
         moves, of_errors = solved.moved_by(block), np.ix_(*[places_of(block.parameters)] * 2)
-        if block.name == CAMERA and (reason or (far and not found.doubt)):
+        if block.name == CAMERA and (reason or lost or (far and not found.doubt)):
             left = errors[of_errors]
             arm = arm.noted(undetermined=[reason or IMPLAUSIBLE])
+        elif lost and block.name != MARGIN:
+            left = errors[of_errors] if block.parameters else np.diag(block.known**2)
         else:
             blocks[block.name] = found.moving(moves)
         if block.parameters:
