@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,6 @@ import numpy as np
 
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.estimation.one_tool import FrameMethod, estimate_views
-from dvrk_cmaes.frames.field_of_view import IGNORED, outside_view
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles
 from dvrk_cmaes.frames.seen_view import SeenView, overlap_of
 from dvrk_cmaes.pose.doubts import mask_is_a_guess
@@ -33,17 +32,9 @@ _ITERATIONS = 2  # segmentations after the first
 _LEAST_OVERLAP = 0.8  # intersection over union of silhouette and mask, below which the silhouette is no prior
 
 
-@dataclass(frozen=True, eq=False)
-class _FoundMask:
-    """A view with the mask found in its image, how it was found, notes, and the result of the mask if it is known.
-
-    ``result`` is that of this view alone, without jaw tips and session.
-    """
-
-    view: SeenView
-    segmentation: Segmentation
-    notes: tuple[str, ...]
-    result: Result | None
+_FoundMask = tuple[SeenView, Segmentation, Result | None]
+"""A view with the mask found in its image, how it was found, and the result of this view alone, without jaw tips and
+session, if that is known."""
 
 
 def segment_and_estimate(data: FrameData, body: Body, method: FrameMethod) -> tuple[FrameData, Segmentation, Result]:
@@ -83,22 +74,22 @@ def segment_and_estimate(data: FrameData, body: Body, method: FrameMethod) -> tu
     for view in data.views:
         own = files.hints
         if found:
-            own = prompts_in(view, found[0].view, own, body, several=bool(found[0].segmentation.others))
+            own = prompts_in(view, found[0][0], own, body, several=bool(found[0][1].others))
         try:
             found.append(_find_mask(view, body, files, solve, settings, own, method.config.threads))
         except DvrkCmaesError as error:
             raise type(error)(f"{files.others.get(view.name, files).picture}: {error}") from None
-    first, alone = found[0], len(found) == 1
-    data = replace(data, views=tuple(each.view for each in found), notes=(*data.notes, *first.notes))
+    (first, segmentation, result), alone = found[0], len(found) == 1
+    data = replace(data, views=tuple(view for view, _, _ in found), notes=(*data.notes, *segmentation.notes))
     seconds = perf_counter() - started
-    result = first.result if alone and first.view.keypoints is None and session is None else None
+    result = result if alone and first.keypoints is None and session is None else None
     if result is None:
         result = solve(data.views, session)
         seconds += result.seconds
     result = replace(result, warnings=(*data.notes, *result.warnings), seconds=seconds)
-    if alone and (guess := mask_is_a_guess(first.segmentation.confidence, GUESS)):
+    if alone and (guess := mask_is_a_guess(segmentation.confidence, GUESS)):
         result = replace(result, status="doubtful", reasons=(*result.reasons, guess))
-    return data, first.segmentation, result
+    return data, segmentation, result
 
 
 def segment_view(
@@ -141,12 +132,7 @@ def _find_mask(
     """Find the mask in the image of a view; a view without an image stays as it is."""
     image = view.image
     if image is None:
-        return _FoundMask(view, Segmentation(view.mask), (), None)
-    outside = outside_view(image)
-    notes: tuple[str, ...] = ()
-    if outside.any():
-        view = view.without(outside)
-        notes = (IGNORED,)
+        return view, Segmentation(view.mask), None
     found = segment_view(view, files, hints, body, settings, threads)
     view = replace(view, mask=found.mask, given=True)
     if not view.shows:
@@ -171,4 +157,4 @@ def _find_mask(
     means = f"by the {settings.model} model" if found.before is None else f"by its {found.before}"
     how = f"mask found in the image {means}, confidence {found.confidence:.2f}"
     found = replace(found, mask=view.mask, notes=(how, *found.notes))
-    return _FoundMask(view, found, (*notes, *found.notes), result)
+    return view, found, result

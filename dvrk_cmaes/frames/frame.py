@@ -322,13 +322,13 @@ def _read_view(files: FrameFiles, view: View, *, masked: bool, blank: bool) -> t
     ignore, tips = files.read_ignored(seen.shape, what), files.keypoints
     tips = tips if tips is None or files.crop is None else tips - files.crop[:2]
     found = SeenView.of(view, mask, ignore=ignore, image=image, keypoints=tips)
-    if mask is not None and image is not None:
-        if abs(image.shape[1] * mask.shape[0] / (image.shape[0] * mask.shape[1]) - 1) > 0.005:
+    if image is not None:
+        if mask is not None and abs(image.shape[1] * mask.shape[0] / (image.shape[0] * mask.shape[1]) - 1) > 0.005:
             expected = f"the mask's size {_size(mask.shape)}, or one of that aspect"
             raise InputError(f"{files.picture}: expected {expected}, got {_size(image.shape)}")
         border = outside_view(image)
         if border.any():
-            found, notes = found.without(resized(border, mask.shape[::-1])), (*notes, IGNORED)
+            found, notes = found.without(resized(border, (seen.shape[1], seen.shape[0]))), (*notes, IGNORED)
     return found, (*files.notes, *notes)
 
 

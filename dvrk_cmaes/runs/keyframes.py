@@ -41,7 +41,7 @@ from dvrk_cmaes.runs.recording import RecordedFrames, RecordedSolution, predict,
 from dvrk_cmaes.segment.segmentation import GUESS, SegmentSettings
 from dvrk_cmaes.segment.shaft_pairs import prompts_in
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.frame_fits import learn_task, with_outside
+from dvrk_cmaes.track.frame_fits import learn_task
 from dvrk_cmaes.track.image_masks import pooled_colours
 from dvrk_cmaes.track.keyframes import LEAST_KEYFRAMES
 
@@ -162,7 +162,6 @@ def segment_task(
     data = read_seen(files, rig)
     if data is None:
         return None
-    data = with_outside(data)
     views: list[SeenView] = []
     for number, view in enumerate(data.views):
         own = replace(view, image=None)

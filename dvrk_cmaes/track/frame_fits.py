@@ -25,7 +25,6 @@ from dvrk_cmaes.calibration.frame_fit import (
 from dvrk_cmaes.calibration.session_frame import StoredView
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import SeenView, overlap_of, shown_views
 from dvrk_cmaes.geometry import Bool, Float64, Posed
@@ -151,7 +150,7 @@ def learn_task(
     """
     read, at, masks = task
     data, found = read(), {}
-    for view in () if data is None else with_outside(data).views:
+    for view in () if data is None else data.views:
         mask = masks.get(view.name)
         if view.image is None or mask is None or overlap_of(silhouette_of(at, view, body), mask) < _PREDICTED:
             continue
@@ -174,7 +173,6 @@ def fit_block(
     for read, expected in frames:
         started, data, fitted = time.perf_counter(), read(), None
         if data is not None:
-            data = data if colours is None else with_outside(data)
             fitted = fitter.fit(data.views, expected, before)
         before = None
         if fitted is None:
@@ -212,12 +210,3 @@ def _spread(expected: Expected, camera: Camera) -> float:
     turned = float(np.linalg.eigvalsh(covariance[3:, 3:])[-1]) * _REACH**2
     depth = max(float(expected.mean.pose[2, 3]), 0.02)
     return min(camera.fx / depth * float(np.sqrt(along + turned)), _LARGEST_SPREAD)
-
-
-def with_outside(data: FrameData) -> FrameData:
-    """Return a frame in whose images the pixels outside the field of view are ignored."""
-    views = []
-    for view in data.views:
-        outside = np.zeros_like(view.mask) if view.image is None else outside_view(view.image)
-        views.append(view.without(outside) if outside.any() and outside.shape == view.mask.shape else view)
-    return replace(data, views=tuple(views))
