@@ -45,6 +45,7 @@ from dvrk_cmaes.calibration.solve import Solved, solve_arms, solve_with_modes, s
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.expected_error import file_covariance
+from dvrk_cmaes.results.result import Result
 
 _PASSES = 6  # largest number of linearisations of the outlines
 _ROUNDS = 3  # in which frames and blocks are estimated in turn
@@ -357,7 +358,7 @@ def _checked(arm: ArmSession, solved: Solved, reason: str | None, *, far: bool, 
 
 def predict_from_first(
     first: Sequence[SessionFrame], others: Mapping[str, Mapping[str, float]], setup: ArmSetup
-) -> dict[str, Posed]:
+) -> dict[str, Result]:
     """Predict frames of a recording from the modes of its ``first`` frames, in the order they were taken.
 
     Parameters
@@ -371,13 +372,14 @@ def predict_from_first(
 
     Returns
     -------
-    dict of str to Posed
-        The root's pose in the reference camera and the joints, by name; without the frames that have no readings of
-        all outer joints at the time of their image less the lag. Empty if the first frames do not agree, or the base
-        moved: in which piece the others are is not known yet.
+    dict of str to Result
+        A result like that of the first frame, at the pose and the joints from which a frame starts, by name; without
+        the frames that have no readings of all outer joints at the time of their image less the lag. Empty if the
+        first frames do not agree, or the base moved: in which piece the others are is not known yet.
     """
+    found = [frame for frame in first if not frame.lacks]
     try:
-        arm = initialised(started([ArmSession.of(setup, [frame for frame in first if not frame.lacks])])[0])
+        arm = initialised(started([ArmSession.of(setup, found)])[0])
     except InputError:  # too few frames, or they contradict each other: then they show nothing about the others
         return {}
     endoscope, lag, series = arm.model.endoscope, arm.lag.applied, setup.series
@@ -395,5 +397,6 @@ def predict_from_first(
     read = [*readings.values()]
     endoscope = None if endoscope is None else endoscope.at(ecm_readings(read))
     model = SessionModel.of(read, setup.instrument, setup.config, setup.arm, endoscope)
-    predicted = model.predict(arm.calibration)
-    return {name: predicted[i] for i, name in enumerate(readings)}
+    at, like = model.predict(arm.calibration), replace(found[0].result, alternatives=())
+    joints = [dict(zip(setup.instrument.joint_names, own, strict=True)) for own in at.joints.tolist()]
+    return {name: replace(like, camera_from_root=at.pose[i], joints=joints[i]) for i, name in enumerate(readings)}

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.csv_file import number_in, read_csv_rows, rows_by_frame
-from dvrk_cmaes.io.encode import encoded_fields
 from dvrk_cmaes.io.short_text import listed
 
 _FRAME = "frame"
@@ -27,10 +25,6 @@ class Hints:
     box: tuple[float, float, float, float] | None = None
     points: Sequence[tuple[float, float]] = ()
     not_points: Sequence[tuple[float, float]] = ()
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values, for JSON."""
-        return encoded_fields(self, "box", "points", "not_points")
 
 
 def read_boxes(path: str | Path) -> dict[str, Hints]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -17,24 +17,11 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.joints.names import ECM_JOINTS, OUTER_JOINTS, check_readings
 
+if TYPE_CHECKING:
+    from dvrk_cmaes.instrument import Instrument
+
 LIMIT_SIGMA = float(np.deg2rad(3.0))
 """Standard deviation of the distance by which a joint may exceed its limits, rad."""
-
-
-class JointLimits(Protocol):
-    """The joints of an instrument and their limits."""
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Names of the J joints."""
-
-    @property
-    def limits(self) -> Float64:
-        """Lower and upper limits of the joints, (J, 2), rad."""
-
-    @property
-    def roll_limits(self) -> tuple[float, float] | None:
-        """Limits of the roll, rad; None if they are not known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +38,7 @@ class Readings:
     high: Float64
 
     @staticmethod
-    def none(instrument: JointLimits) -> Readings:
+    def none(instrument: Instrument) -> Readings:
         """Return no readings, only the limits of an instrument's joints."""
         count = len(instrument.joint_names)
         low, high = instrument.limits.T.copy()
@@ -74,7 +61,7 @@ class Readings:
 
 
 def split_readings(
-    instrument: JointLimits, joints: Mapping[str, float], config: EstimateConfig
+    instrument: Instrument, joints: Mapping[str, float], config: EstimateConfig
 ) -> tuple[Readings, list[str], list[str]]:
     """Select the readings of the instrument's joints from all readings of a frame.
 

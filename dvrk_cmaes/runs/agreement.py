@@ -19,7 +19,6 @@ from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import ecm_readings
 from dvrk_cmaes.evaluate.consistency import spread_of_bases
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
-from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.io.json_file import read_json_object, write_json
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.pose.doubts import BASE_APART, base_apart
@@ -190,8 +189,7 @@ def expected_elsewhere(arm: ArmInSession, results: Mapping[str, Result], notice:
     expected = predict_from_first(found, {frame.name: images[frame.name].readings for frame in frames}, setup)
     if expected:
         notice(f"images looked at again, where the others expect the instrument: {len(expected)}")
-    names = body.instrument.joint_names
-    return [replace(images[name], start=start_at(found[0].result, at, names)) for name, at in expected.items()]
+    return [replace(images[name], start=start) for name, start in expected.items()]
 
 
 def expected_by_masks(arm: ArmInSession, folder: Path, notice: Notice) -> list[FrameFiles]:
@@ -209,9 +207,3 @@ def with_found_masks(files: FrameFiles, folder: Path) -> FrameFiles:
     masks = {path.parent.name: path for path in found_masks(folder, files.name)}
     others = {name: replace(own, mask=masks.pop(name, None)) for name, own in files.others.items()}
     return replace(files, mask=next(iter(masks.values()), None), others=others)
-
-
-def start_at(like: Result, at: Posed, names: tuple[str, ...]) -> Result:
-    """Return the result of a frame ``like`` another one's, at a pose that is expected, from which it starts."""
-    joints = dict(zip(names, at.joints.tolist(), strict=True))
-    return replace(like, camera_from_root=at.pose, joints=joints, alternatives=())

@@ -33,7 +33,6 @@ from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.agreement import start_at
 from dvrk_cmaes.runs.backgrounds import with_backgrounds
 from dvrk_cmaes.runs.frame import estimate_frame
 from dvrk_cmaes.runs.pool import Notice
@@ -128,7 +127,7 @@ def _estimated(
     most others on where the base is.
     """
     work.progress("estimating keyframes", len(chosen))
-    files, names = recorded.files, work.instrument.joint_names
+    files = recorded.files
 
     def estimated(numbers: Sequence[int], starts: Mapping[str, Result]) -> dict[int, SessionFrame]:
         tasks = [replace(files[i], start=starts.get(files[i].name)) for i in numbers]
@@ -139,9 +138,7 @@ def _estimated(
     found = estimated(first, {})
     rest = [i for i in chosen if images is not None or i not in first]
     readings = {files[i].name: files[i].readings for i in rest}
-    expected = predict_from_first([*found.values()], readings, work) if found else {}
-    like = next((frame.result for frame in found.values() if not frame.lacks), None)
-    starts = {name: start_at(like, at, names) for name, at in expected.items()} if like else {}
+    starts = predict_from_first([*found.values()], readings, work) if found else {}
     again = [i for i in rest if i not in first or files[i].name in starts]
     found |= estimated(again, starts)
     return {i: found[i] for i in chosen if i in found}
