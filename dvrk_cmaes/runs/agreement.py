@@ -179,14 +179,13 @@ def expected_elsewhere(arm: ArmInSession, results: Mapping[str, Result], notice:
         for name, own in images.items()
         if name in results
     ]
-    found = [frame for frame in frames if not frame.lacks]
     by_classic = method.segment is None or method.segment.model == "classic"
-    if len(found) < _FEWEST or method.session is not None or not by_classic:
+    if sum(not frame.lacks for frame in frames) < _FEWEST or method.session is not None or not by_classic:
         return []
     config = method.config.with_alike_masks()
     run = partial(in_threads, body, config)
     setup = ArmSetup(session.reading_series(), body.instrument, method.arm, config, run)
-    expected = predict_from_first(found, {frame.name: images[frame.name].readings for frame in frames}, setup)
+    expected = predict_from_first(frames, {frame.name: images[frame.name].readings for frame in frames}, setup)
     if expected:
         notice(f"images looked at again, where the others expect the instrument: {len(expected)}")
     return [replace(images[name], start=start) for name, start in expected.items()]

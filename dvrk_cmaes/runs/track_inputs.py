@@ -96,8 +96,8 @@ def read_arrays(files: FrameFiles, camera: Camera) -> tuple[Image | None, Bool |
         A file is wrong, or the mask is not of the camera's size.
     """
     data, size = read_frame(files, camera, blank=True), (camera.width, camera.height)
-    if not data.views[0].given:
-        return data.image, None, data.ignore
+    if not data.views[0].given:  # a tracker finds the border by itself, where it learns colours
+        return data.image, None, None if data.image is None else files.read_ignored(data.image.shape, "image")
     if (data.camera.width, data.camera.height) != size:
         raise InputError(
             f"{files.mask}: expected {camera.width} x {camera.height} pixels as the camera has, got "
