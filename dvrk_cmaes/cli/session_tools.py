@@ -145,8 +145,7 @@ def report_arms(
     for name, own in arms.items():
         for text in dict.fromkeys(own.warnings):
             warn(text, name)
-    several = len(arms) > 1
-    exchanged = exchanged_arms({name: own.results for name, own in arms.items()}, followed=followed) if several else []
+    exchanged = exchanged_arms({name: own.results for name, own in arms.items()}, followed=followed)
     for text in exchanged:
         warn(text)
     known = {name: own.calibration for name, own in arms.items() if own.calibration is not None}

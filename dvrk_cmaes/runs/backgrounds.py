@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.frames.frame import FrameFiles, readable
 from dvrk_cmaes.segment.background import MOST, learn_background
 from dvrk_cmaes.segment.segmentation import SegmentSettings
@@ -45,6 +46,11 @@ def with_backgrounds(settings: SegmentSettings, frames: Mapping[str, Sequence[Fr
             notes.append(f"{of_view}: no background was learned: {found}{more}")
     backgrounds = {view: found for view, found in learned.items() if not isinstance(found, str)}
     return replace(settings, backgrounds=backgrounds, notes=tuple(notes))
+
+
+def by_view(frames: Sequence[FrameFiles], rig: Rig) -> dict[str, list[FrameFiles]]:
+    """Return the files of frames by the view of a rig that they are of."""
+    return {name: [files.of_views(rig)[name] for files in frames] for name in rig.names}
 
 
 def _pictures(frames: Sequence[FrameFiles]) -> list[NDArray[np.uint8]]:

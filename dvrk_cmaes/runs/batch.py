@@ -24,7 +24,7 @@ from dvrk_cmaes.results.folder import SUMMARY, ResultsFolder, check_output, read
 from dvrk_cmaes.results.pose_rows import pose_rows
 from dvrk_cmaes.results.result import Result, Status
 from dvrk_cmaes.runs.agreement import compare_bases, expected_elsewhere
-from dvrk_cmaes.runs.backgrounds import with_backgrounds
+from dvrk_cmaes.runs.backgrounds import by_view, with_backgrounds
 from dvrk_cmaes.runs.frame import (
     ArmInSession,
     FrameOutcome,
@@ -42,7 +42,6 @@ from dvrk_cmaes.runs.manifest import (
     check_same_settings,
     chosen_frames,
     earlier_results,
-    frame_stamps,
     manifest_of,
     read_manifest,
     results_of,
@@ -110,9 +109,7 @@ def run_batch(
     frames = chosen_frames([*noted], pattern)
     for files in frames:
         check_output(out, files.name)
-    views = [files.of_views(session.rig) for files in session.frames]
-    of_views = {name: [of_frame[name] for of_frame in views] for name in session.rig.names}
-    masks = with_backgrounds(method.segment or SegmentSettings(), of_views)
+    masks = with_backgrounds(method.segment or SegmentSettings(), by_view(session.frames, session.rig))
     method = replace(method, config=with_commanded(method.config, commanded, names), segment=masks)
     arm = replace(arm, method=method)
     started = time.monotonic()
@@ -176,12 +173,11 @@ def _prepare(
     """Write the manifest, and return the frames to do and the statuses of the frames whose results are kept."""
     own.refuse(TABLES)
     session = [files.name for files in arm.session.frames]
-    digests = {files.name: frame_stamps(files) for files in frames}
-    manifest, old = manifest_of(arm, digests), read_manifest(folder)
+    manifest, old = manifest_of(arm, frames), read_manifest(folder)
+    digests = manifest["frames"]
     kept: dict[str, Status] = {}
     if old is not None:
-        earlier = earlier_results(folder, digests, session)
-        kept = {name: status for name, status in earlier.items() if status != "failed"}
+        kept = earlier_results(folder, digests, session)
         if kept:
             check_same_settings(folder, old, manifest)
             check_same_frames(folder, old, digests, done=kept)

@@ -40,7 +40,7 @@ from dvrk_cmaes.runs.agreement import with_found_masks
 from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.calibration_pictures import draw_task
 from dvrk_cmaes.runs.frame import ArmInSession, FrameOutcome, write_outcome
-from dvrk_cmaes.runs.manifest import frame_stamps, manifest_of
+from dvrk_cmaes.runs.manifest import manifest_of
 from dvrk_cmaes.runs.pool import Pool, Workers, run_in
 
 CAMERA = "camera.yaml"
@@ -117,10 +117,9 @@ def _written(
             write_outcome(place, FrameOutcome(result, overlay))
         write_cameras(calibration, session.rig, place)
         write_json(place / SESSION, calibration.to_dict())
-        stamps = {own.name: frame_stamps(own) for own in session.frames if own.name in solved.results}
-        manifest = manifest_of(replace(arm, session=session), stamps)
+        used = (own for own in session.frames if own.name in solved.results)
         with output(place, "calibrate") as own:
-            own.describe(manifest | {"solved": "together"})
+            own.describe(manifest_of(replace(arm, session=session), used) | {"solved": "together"})
         finish(place, trust=arm.method.config.trust)
     return solved
 

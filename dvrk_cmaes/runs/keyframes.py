@@ -33,7 +33,7 @@ from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.backgrounds import with_backgrounds
+from dvrk_cmaes.runs.backgrounds import by_view, with_backgrounds
 from dvrk_cmaes.runs.frame import estimate_frame
 from dvrk_cmaes.runs.pool import Notice
 from dvrk_cmaes.runs.recording import RecordedFrames, RecordedSolution, predict, read_seen
@@ -219,9 +219,7 @@ def _begin_by_images(
     chosen = recorded.keyframes(_SEGMENTED, usable)
     if given is None and len(chosen) < LEAST_KEYFRAMES:  # too few to find masks of another tool
         return Begun.of(f"{len(chosen)} images that differ have readings, fewer than {LEAST_KEYFRAMES}")
-    views = [recorded.files[i].of_views(recorded.rig) for i in chosen]
-    of_views = {name: [of_frame[name] for of_frame in views] for name in recorded.rig.names}
-    images = with_backgrounds(SegmentSettings(), of_views)
+    images = with_backgrounds(SegmentSettings(), by_view([recorded.files[i] for i in chosen], recorded.rig))
     for text in images.notes:
         notice(text)
     if given is None:

@@ -121,8 +121,8 @@ class _ManifestFields(msgspec.Struct):
     frames: dict[str, dict[str, str]]
 
 
-def manifest_of(arm: ArmInSession, frames: FrameParts) -> Manifest:
-    """Return the manifest of a command that works on an arm; ``frames`` are the stamps of each frame's parts."""
+def manifest_of(arm: ArmInSession, frames: Iterable[FrameFiles]) -> Manifest:
+    """Return the manifest of a command that works on some frames of an arm."""
     instrument, method = arm.body.instrument, arm.method
     segment, views = method.segment or SegmentSettings(), arm.session.rig.views
     backgrounds = {view: digest_of(background) for view, background in sorted(segment.backgrounds.items())}
@@ -137,7 +137,7 @@ def manifest_of(arm: ArmInSession, frames: FrameParts) -> Manifest:
         "calibration": None if method.session is None else digest_of(json_text(method.session.to_dict())),
         "session": os.path.abspath(arm.session.folder),
         "warnings": list(arm.session.warnings),
-        "frames": in_order(frames),
+        "frames": in_order({files.name: frame_stamps(files) for files in frames}),
     }
 
 
@@ -264,7 +264,7 @@ def results_of(frames: Iterable[str], views: Sequence[str]) -> list[str]:
 
 
 def earlier_results(out: Path, chosen: Collection[str], session: Collection[str]) -> dict[str, Status]:
-    """Return the status of each frame that has a valid result in a folder and, unless it failed, an overlay.
+    """Return the status of each frame that has a valid result in a folder, which has not failed, and an overlay.
 
     Raises
     ------
@@ -279,8 +279,8 @@ def earlier_results(out: Path, chosen: Collection[str], session: Collection[str]
     found: dict[str, Status] = {}
     for name, path in paths.items():
         result = readable(partial(read_result, path)) if name in chosen else read_result(path)
-        complete = result is not None and (result.status == "failed" or overlay_path(out, name).is_file())
-        if result is not None and complete and result.frame == name:
+        has_pose = result is not None and result.frame == name and result.status != "failed"
+        if result is not None and has_pose and overlay_path(out, name).is_file():
             found[name] = result.status
     if (out / SESSION).exists():
         read_calibration(out / SESSION)

@@ -33,7 +33,7 @@ from dvrk_cmaes.results.folder import SESSION
 from dvrk_cmaes.results.tracked import TABLE, TRACKS, VIDEO, TrackResult, line_of, write_table
 from dvrk_cmaes.runs.frame import ArmInSession
 from dvrk_cmaes.runs.keyframes import begin_solution
-from dvrk_cmaes.runs.manifest import frame_stamps, manifest_of
+from dvrk_cmaes.runs.manifest import manifest_of
 from dvrk_cmaes.runs.pool import StoppedError, Workers, pool_of, run_in, usable_cores
 from dvrk_cmaes.runs.recording import RecordedFrames, RecordedSolution, follow_window
 from dvrk_cmaes.runs.solver_process import SolverProcess
@@ -158,8 +158,7 @@ class TrackedArm:
         names = ("lag", "every", "causal", "evidence")
         followed = {name: encoded(getattr(self.settings, name)) for name in names}
         followed |= {"use_joints": bool(self.recorded.series.times), "hints": encoded(self.recorded.files[0].hints)}
-        stamps = {files.name: frame_stamps(files) for files in self.recorded.files}
-        own.describe(manifest_of(self.arm, stamps) | {"track": followed})
+        own.describe(manifest_of(self.arm, self.recorded.files) | {"track": followed})
         if self.rows:
             write_text(self.out / TRACKS, "".join(line_of(row) for row in self.rows))
         known, late = self.calibration, self.settings.lag or 0.0
