@@ -361,6 +361,10 @@ def predict_from_first(
 ) -> dict[str, Result]:
     """Predict frames of a recording from the modes of its ``first`` frames, in the order they were taken.
 
+    Returns results, like that of a first frame, at the poses from which the frames start, by name; without the frames
+    that have no readings of all outer joints at the time of their image less the lag. Empty if the first frames do not
+    agree, or the base moved: in which piece the others are is not known yet.
+
     Parameters
     ----------
     first
@@ -369,13 +373,6 @@ def predict_from_first(
         The readings of the frames to predict, by name, rad and m; those of first frames that agree do not count.
     setup
         The recording's instrument, arm, settings and all readings.
-
-    Returns
-    -------
-    dict of str to Result
-        A result like that of the first frame, at the pose and the joints from which a frame starts, by name; without
-        the frames that have no readings of all outer joints at the time of their image less the lag. Empty if the
-        first frames do not agree, or the base moved: in which piece the others are is not known yet.
     """
     found = [frame for frame in first if not frame.lacks]
     try:

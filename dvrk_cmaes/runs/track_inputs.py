@@ -95,9 +95,10 @@ def read_arrays(files: FrameFiles, camera: Camera) -> tuple[Image | None, Bool |
     InputError
         A file is wrong, or the mask is not of the camera's size.
     """
+    if files.mask is None and files.problem is None and (image := files.read_image()) is not None:
+        match_size(camera, image.shape[:2], "image", f"{files.picture}: ")
+        return image, None, files.read_ignored(image.shape, "image")  # a tracker looks for the border itself, once
     data, size = read_frame(files, camera, blank=True), (camera.width, camera.height)
-    if not data.views[0].given:  # a tracker finds the border by itself, where it learns colours
-        return data.image, None, None if data.image is None else files.read_ignored(data.image.shape, "image")
     if (data.camera.width, data.camera.height) != size:
         raise InputError(
             f"{files.mask}: expected {camera.width} x {camera.height} pixels as the camera has, got "
