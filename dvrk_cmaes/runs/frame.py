@@ -127,9 +127,7 @@ def estimate_frame(data: FrameData, body: Body, method: FrameMethod) -> Result:
 def estimated(arm: ArmInSession, files: FrameFiles) -> FrameOutcome:
     """Read and estimate one frame of an arm, whose result has failed where that is not possible; never raises."""
     try:
-        frame = read_frame(files, arm.session.rig)
-        frame = replace(frame, notes=tuple(relative_text(arm.session.folder, note) for note in frame.notes))
-        return outcome_of(frame, arm.body, arm.method)
+        return outcome_of(read_frame(files, arm.session.rig), arm.body, arm.method)
     except DvrkCmaesError as error:
         reason = str(error)
     except MemoryError:
