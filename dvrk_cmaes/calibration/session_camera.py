@@ -57,6 +57,7 @@ IMPLAUSIBLE = (
 )
 """Why a session does not determine its camera: the estimate is too far away for outlines that were linearised here."""
 
+_CENTRE_BY_RADIAL = 0.2  # of focal lengths per radial coefficient: where outlines show the principal point by its error
 _LENS_PLAUSIBLE = (0.5, 3.0)  # of both errors of a lens; outlines that were linearised say nothing of larger ones
 _CAUSES = (
     "a calibration of another zoom, focus, endoscope or crop of the image, or --rectified left out; a tool or arm of "
@@ -92,6 +93,8 @@ class CameraChange(CameraErrors):
         file = file_deviations(camera, config.camera, TESTED)
         super().__init__(CAMERA, _WEAK_STD, change)
         self.known, self.weak, self.used, self._camera = file, _WEAK_STD, change is not None, camera
+        radial = file_deviations(camera, config.camera, ("radial",))
+        self._by_lens = np.diag(np.concatenate([[0.0], *[_CENTRE_BY_RADIAL * radial] * 2]) ** 2)
 
     def is_plausible(self, values: Float64) -> bool:
         """Whether the outlines are not likely to have left the image, over which the lens remains one-to-one."""
@@ -107,7 +110,7 @@ class CameraChange(CameraErrors):
 
     def stated(self, alone: Float64, covariance: Float64) -> tuple[FoundBlock, Float64]:
         """State the change with which the session is solved, or what the frames show and the file."""
-        change = self.start if self.used else alone
+        change, covariance = self.start if self.used else alone, covariance + self._by_lens
         found = stated_camera(change, covariance, self.known, self._camera, applied=self.used)
         return found, covariance if self.used else square_by_file(change, covariance, self.known, (0, 1, 1))
 

@@ -207,12 +207,13 @@ class ArmSession(ArmModes):
     def tested(self) -> tuple[TestedBlock, ...]:
         """The blocks that are tested, which begin with the values in use: the margin, and the camera if it is changed.
 
-        All others are tested from the last round on.
+        With a camera that is changed, those of its lens are tested, too; all others from the last round on.
         """
         config, camera = self.setup.config, self.camera
         change, start = self.change, taken_off(self.margin)
         margin = MaskMargin(camera.pixel_scale, start, used=change is None)
-        others = (CameraChange(config, camera, change), *(make(config, camera) for make in TESTED if self.last))
+        makes = TESTED if self.last else (Lens,)
+        others = (CameraChange(config, camera, change), *(make(config, camera) for make in makes))
         return margin, *(others if self.last or change is not None else ())
 
     @property

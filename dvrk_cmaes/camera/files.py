@@ -146,6 +146,7 @@ def _storage_xml(where: str, root: ElementTree.Element) -> dict[str, Any]:
 USUAL: Final = 1.5
 """Focal length in image widths: endoscopes of da Vinci systems have 1.4 to 1.6, see the page `uncalibrated`."""
 
+_GUESSED = (0.1, 0.005, 0.05, 0.05, 0.15)  # standard deviations of a guessed camera, as of `Camera.covariance`
 _LEAST_FOCAL, _LARGEST_FOCAL = 0.3, 6.0  # image widths
 
 
@@ -171,7 +172,8 @@ def guessed_camera(size: Size, focal: float | None = None) -> CameraFile:
             f"--focal: expected a focal length of {_LEAST_FOCAL * width:g} to {_LARGEST_FOCAL * width:g} px, "
             f"{_LEAST_FOCAL:g} to {_LARGEST_FOCAL:g} widths of the images, got {focal:g}"
         )
-    camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+    covariance = tuple(map(tuple, np.diag(np.square(_GUESSED)).tolist()))
+    camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, covariance=covariance)
     kind = f"none; a guess with a focal length of {focal:g} px and no lens distortion"
     return CameraFile(Rig.of_camera(camera), kind)
 

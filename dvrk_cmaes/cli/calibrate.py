@@ -124,7 +124,9 @@ class CalibrateOptions:
             solved = solved_alone(self.begin(few, Path(folder) / "session", refine=True))
         if solved is None:
             return None
-        rig = Rig(tuple(view.restored() for view in solved.calibration.views))
+        covariance = arm.session.rig.views[0].camera.covariance
+        views = [view.restored() for view in solved.calibration.views]
+        rig = Rig(tuple(replace(view, camera=replace(view.camera, covariance=covariance)) for view in views))
         return replace(arm, session=replace(arm.session, rig=rig))
 
     def begin(
