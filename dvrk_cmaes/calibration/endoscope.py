@@ -72,6 +72,11 @@ class EndoscopeValues:
         """The camera (4, 4) in the tip of an endoscope whose arm is read, m."""
         return np.asarray(self.poses[0])
 
+    @property
+    def errors(self) -> Float64:
+        """What is added to the readings (P + 1, 4) at the reference, where it is zero, and at P other places."""
+        return np.append(np.zeros(4), self.numbers[4:]).reshape(-1, 4)
+
 
 class EndoscopeBlock(PredictedBlock):
     """The M unknowns of an endoscope that moves.

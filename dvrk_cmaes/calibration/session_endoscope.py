@@ -36,6 +36,7 @@ from dvrk_cmaes.io.typed_document import Count, Number, Transform, convert_docum
 from dvrk_cmaes.joints.names import ECM_JOINTS
 
 _HYPOTHESIS_FRAMES, _TEST_FRAMES = 10, 60  # of each consensus of the search
+_TRIED: Final = 4  # cameras in the tip by which the frames agree best, that are refined
 _FOUND: Final = 0.3  # of the prior's deviations: those of a refined camera in the tip
 LEAST_PIECE: Final = 3
 """Frames that agree on the base of a piece."""
@@ -55,13 +56,20 @@ def find_hand_eye(arm: ArmModes, steered: Steered) -> Steered:
         The endoscope in all frames, whose camera is not known yet.
     """
     few = evenly_spaced(len(arm.counts), _TEST_FRAMES)
-    offered, arm = steered.hand_eyes(), arm.subset(few)
-    arms = [replace(arm, model=replace(arm.model, endoscope=one.subset(few))) for one in offered]
-    agreed = [find_consensus(one, hypothesis_frames=_HYPOTHESIS_FRAMES) for one in arms]
-    best = int(np.argmin([one.mean_misfit for one in agreed]))
-    values = solve_with_modes(arms[best], agreed[best].calibration).calibration.endoscope
-    assert values is not None
-    return replace(offered[best], start=values, loose=_FOUND * offered[best].loose)
+    arm = replace(arm, model=replace(arm.model, endoscope=None)).subset(few)
+
+    def consensus(offered: Steered) -> tuple[ArmModes, Consensus]:
+        with_it = replace(arm, model=replace(arm.model, endoscope=offered.subset(few)))
+        return with_it, find_consensus(with_it, hypothesis_frames=_HYPOTHESIS_FRAMES)
+
+    tried = [(offered, *consensus(offered)) for offered in steered.hand_eyes()]
+    refined = list[tuple[float, Steered]]()
+    for offered, with_it, agreed in sorted(tried, key=lambda one: one[-1].mean_misfit)[:_TRIED]:
+        values = solve_with_modes(with_it, agreed.calibration).calibration.endoscope
+        assert values is not None
+        there = replace(offered, start=values, loose=_FOUND * offered.loose)
+        refined.append((float(consensus(there)[1].cost.mean()), there))
+    return min(refined, key=lambda one: one[0])[1]
 
 
 def find_pieces(arm: ArmModes, consensus: Consensus, alike: float) -> Pieces | None:
@@ -199,7 +207,7 @@ class SessionEndoscope(Document):
         stands = _stands(model.camera_from_base(calibration), endoscope.place, names, times)
         if not isinstance(endoscope, Steered):
             return cls(stands, covariance=covariance)
-        count, errors = calibration.place(ENDOSCOPE).start, np.append(np.zeros(4), values.numbers[4:]).reshape(-1, 4)
+        count = calibration.place(ENDOSCOPE).start
         cameras, changes = endoscope.cameras(values)
         jacobian = np.eye(6, len(covariance))  # of the arm's base in the ECM's
         jacobian[:, count:] = adjoint(inverse(base)) @ changes[0]
@@ -207,7 +215,7 @@ class SessionEndoscope(Document):
         std = np.sqrt(np.diag(whole))[count:]
         return cls(
             stands,
-            tuple(replace(one, error=_row(error)) for one, error in zip(endoscope.places, errors, strict=True)),
+            tuple(replace(one, error=_row(error)) for one, error in zip(endoscope.places, values.errors, strict=True)),
             values.tip_from_camera,
             cameras[0] @ base,
             _row(std[:6]),
