@@ -22,7 +22,6 @@ from dvrk_cmaes.results.result import Result, modes_of
 
 _MAX_HYPOTHESIS_FRAMES = 60  # frames whose modes are used as hypotheses
 _MAX_TEST_FRAMES = 240  # frames on which each hypothesis is scored
-MOST_AT_ONCE = 2000  # modes of test frames times hypotheses that are scored at once, in some 5 MB
 _ENOUGH = 0.5  # share of the frames that agree, from which on no other offset of roll is tried
 _MAX_ROLLED_FRAMES = 20  # frames whose modes are tried, and scored, at other offsets of roll
 _ROLL_STEP = np.deg2rad(20.0)  # between offsets of roll, and standard deviation of each frame's
@@ -116,12 +115,12 @@ def find_consensus(
     roll
         Offset of roll of all hypotheses, rad.
     """
+    tested, hypotheses = evenly_spaced(len(arm.counts), test_frames), _Hypotheses(arm, roll)
     proposing = evenly_spaced(len(arm.counts), hypothesis_frames).tolist()
-    tested = evenly_spaced(len(arm.counts), test_frames)
-    hypotheses = _Hypotheses(arm, roll)
-    candidates = np.array([(frame, k) for frame in proposing for k in range(arm.counts[frame])])
-    best = int(np.argmin(hypotheses.costs(candidates, tested)))
-    return hypotheses.consensus(candidates[best], np.arange(len(arm.counts)))
+    costs = np.array([hypotheses.tested(frame, tested)[-1].sum(axis=1) for frame in proposing])
+    best, number = np.unravel_index(costs.argmin(), costs.shape)
+    bases, offsets, *judged = hypotheses.tested(proposing[best], np.arange(len(arm.counts)))
+    return Consensus(arm.model.calibration(bases[number], offsets[number]), *(one[number] for one in judged))
 
 
 def agreement(arm: ArmModes, calibration: Calibration, roll_std: float = 0.0) -> Consensus:
@@ -183,48 +182,32 @@ class _Hypotheses:
         self._of_readings = model.covariance(same)
         self._of_readings[:, 5, 5] += model.offset_std[1] ** 2
 
-    def _calibrations(self, sources: Indices) -> tuple[Float64, Float64]:
-        """Return the bases (H, 4, 4) and offsets (H, 2 + J) of the calibrations that predict modes of frames.
+    def tested(self, frame: int, test_frames: Indices) -> tuple[Float64, Float64, Indices, Float64, Float64]:
+        """Test the calibrations that predict each of the M modes of a frame on test frames (V,).
 
-        ``sources`` (H, 2) are the numbers of a frame and of its mode. The offsets of insertion and roll are the same
-        for all; joints without a reading have an offset of zero, too.
+        Returns their bases (M, 4, 4) and offsets (M, 2 + J), and what `_judged` returns, (M, V) each. The offsets of
+        insertion and roll are the same for all; joints without a reading have an offset of zero, too.
         """
-        frame, at = sources[:, 0], self._arm.mode(*sources.T)
-        offsets = np.tile(self._offsets, (len(sources), 1))
+        at, read = self._arm.modes[frame], self._read[test_frames]
+        offsets = np.tile(self._offsets, (len(at.pose), 1))
         offsets[:, 2:] = np.nan_to_num(at.joints - self._model.joints[frame])
-        return inverse(self._relative[frame]) @ at.pose @ self._root_from_base[frame], offsets
-
-    def costs(self, sources: Indices, test_frames: Indices) -> Float64:
-        """Return the sums (H,) of the costs of test frames (V,) by the calibrations from ``sources`` (H, 2)."""
-        at_once = max(1, MOST_AT_ONCE // (len(test_frames) * self._arm.modes.pose.shape[1]))
-        parts = (sources[first : first + at_once] for first in range(0, len(sources), at_once))
-        return np.concatenate([self._tested(part, test_frames)[-1].sum(axis=1) for part in parts])
-
-    def consensus(self, source: Indices, test_frames: Indices) -> Consensus:
-        """Return what test frames (V,) say of the calibration that is made from a frame and one of its modes (2,)."""
-        ((base,), (offsets,)), tested = self._calibrations(source[None]), self._tested(source[None], test_frames)
-        return Consensus(self._model.calibration(base, offsets), *(one[0] for one in tested))
-
-    def _tested(self, sources: Indices, test_frames: Indices) -> tuple[Indices, Float64, Float64]:
-        """Test the calibrations from ``sources`` (H, 2) on test frames (V,), as of `_judged`, (H, V) each."""
-        (bases, offsets), frame = self._calibrations(sources), sources[:, 0]
-        read = self._read[test_frames]
+        bases = inverse(self._relative[frame]) @ at.pose @ self._root_from_base[frame]
         pose = self._relative[test_frames] @ bases[:, None] @ read.pose
         expected = Posed(pose, read.joints + offsets[:, None, 2:])
-        dimension = 6 + expected.joints.shape[-1]
-        # covariance of the hypothesis: of the mode that it was made from, and of that frame's readings
+        # covariance of the calibrations: of the mode that they were made from, and of that frame's readings
         own = self._arm.covariances[frame] + self._of_readings[frame]
-        transport = np.tile(np.eye(dimension), (len(sources), len(test_frames), 1, 1))
-        transport[..., :6, :6] = adjoint(self._root_from_base[test_frames] @ self._read.pose[frame][:, None])
-        predicted = transport @ own[:, None] @ np.swapaxes(transport, -1, -2) + self._of_readings[test_frames]
+        transport = np.tile(np.eye(len(own)), (len(test_frames), 1, 1))
+        transport[:, :6, :6] = adjoint(self._root_from_base[test_frames] @ self._read.pose[frame])
+        covariance = transport @ own @ np.swapaxes(transport, 1, 2)
+        covariance += self._of_readings[test_frames] + self._arm.covariances[test_frames]
         if self._model.endoscope is not None:
             by_values, by_own = self._by_endoscope
-            moves = by_values[test_frames] - by_values[frame, None]
-            both = np.broadcast_arrays(by_own[test_frames], by_own[frame, None])
-            moves = np.concatenate([moves, *both], axis=3)
+            both = np.broadcast_arrays(by_own[test_frames], by_own[frame])
+            moves = np.concatenate([by_values[test_frames] - by_values[frame], *both], axis=2)
             moves = adjoint(self._root_from_base[test_frames] @ inverse(bases)[:, None]) @ moves
-            predicted[..., :6, :6] += moves @ np.swapaxes(moves, -1, -2)
-        return _judged(self._arm.modes[test_frames], expected, predicted + self._arm.covariances[test_frames])
+            covariance = np.tile(covariance, (len(bases), 1, 1, 1))
+            covariance[..., :6, :6] += moves @ np.swapaxes(moves, -1, -2)
+        return bases, offsets, *_judged(self._arm.modes[test_frames], expected, covariance)
 
 
 _STILL_RAD, _STILL_M = np.deg2rad(0.05), 2e-4  # standard deviation below which readings are constant
