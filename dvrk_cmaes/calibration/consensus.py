@@ -123,10 +123,9 @@ def find_consensus(
     return Consensus(arm.model.calibration(bases[number], offsets[number]), *(one[number] for one in judged))
 
 
-def agreement(arm: ArmModes, calibration: Calibration, roll_std: float = 0.0) -> Consensus:
-    """Return what the frames of an arm say of a calibration, whose errors are not counted, with one of each roll."""
+def agreement(arm: ArmModes, calibration: Calibration) -> Consensus:
+    """Return what the frames of an arm say of a calibration, whose errors are not counted."""
     covariance = arm.model.covariance(calibration) + arm.covariances
-    covariance[:, 5, 5] += roll_std**2
     return Consensus(calibration, *_judged(arm.modes, arm.model.predict(calibration), covariance))
 
 

@@ -100,7 +100,7 @@ def find_pieces(arm: ArmModes, consensus: Consensus, alike: float) -> Pieces | N
     bases = _bases_of_runs(arm, float(consensus.calibration.offsets[1]))
     if not bases:
         return None
-    costs = np.array([agreement(arm, base, arm.model.offset_std[1]).cost for base in bases]) / alike
+    costs = np.array([agreement(arm, base).cost for base in bases]) / alike
     held, number, counts = np.unique(_fewest_changes(costs), return_inverse=True, return_counts=True)
     order = np.argsort(-counts, kind="stable")
     first, *others = (bases[k].camera_from_base for k in held[order])
