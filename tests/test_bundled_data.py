@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes import Body, Camera, Renderer, load_instrument, read_camera
 from dvrk_cmaes.frames.images import read_ignore
-from dvrk_cmaes.instrument.arm import base_from_root
-from dvrk_cmaes.joints.names import OUTER_JOINTS, WRIST_JOINTS
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS, base_from_root
+from dvrk_cmaes.joints.names import WRIST_JOINTS
 
 DEMO = bundled_path("demo")
 GOLDEN = bundled_path("golden")

@@ -54,7 +54,7 @@ def open_session(
     from dvrk_cmaes.frames.overlays import with_overlaid
     from dvrk_cmaes.frames.session_folder import NO_READINGS, read_session
     from dvrk_cmaes.frames.session_toml import SESSION_FILE, ToolEntry, read_session_toml
-    from dvrk_cmaes.joints.names import OUTER_JOINTS
+    from dvrk_cmaes.instrument.arm import OUTER_JOINTS
     from dvrk_cmaes.runs.frame import ArmInSession
 
     entries, only, own = read_session_toml(folder), given.only, given.instrument

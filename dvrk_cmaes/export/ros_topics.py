@@ -25,6 +25,7 @@ from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.ros_messages import RosMessage, joint_message, pose_message, tf_message, uncertain_pose_message
 from dvrk_cmaes.geometry import Float64, inverse
 from dvrk_cmaes.instrument.arm import (
+    OUTER_JOINTS,
     ROLL_OFFSET,
     TOOLTIP_OFFSET,
     WRIST_LENGTH,
@@ -33,9 +34,9 @@ from dvrk_cmaes.instrument.arm import (
     root_from_tip,
     stated_kinematics,
 )
+from dvrk_cmaes.instrument.inverse_kinematics import POSED_JOINTS
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
-from dvrk_cmaes.joints.names import ARM_ORDER, OUTER_JOINTS
 from dvrk_cmaes.results.result import Result
 
 FOUND = "/dvrk_cmaes"
@@ -112,7 +113,7 @@ def _read(
     if camera_from_base is not None and root_from_read_tip is not None and set(OUTER_JOINTS) <= set(readings):
         root = camera_from_base @ base_from_root(readings, arm, roll_offset=roll_offset)
         yield pose_message(f"/{names.arm}/measured_cp", time, names.camera, root @ root_from_read_tip)
-    arm_readings = {name: readings[name] for name in ARM_ORDER if name in readings}
+    arm_readings: dict[str, float] = {name: readings[name] for name in POSED_JOINTS if name in readings}
     if arm_readings:
         yield joint_message(f"/{names.arm}/measured_js", time, arm_readings)
     if "jaw" in readings:

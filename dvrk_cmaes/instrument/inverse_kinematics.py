@@ -18,7 +18,7 @@ from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm, base_from_root, outer_j
 from dvrk_cmaes.instrument.dvrk_description import Tool
 
 POSED_JOINTS: Final = (*OUTER_JOINTS, "wrist_pitch", "wrist_yaw")
-"""Joints found from the pose of the tip, in the order of the chain; insertion in m, the others in rad."""
+"""Joints found from the pose of the tip, in the order of the chain and of the dVRK's ``measured_js``; m and rad."""
 
 _SINGULAR: Final = 1e-9  # m; distance of the RCM from the wrist yaw axis below which wrist yaw is not determined
 

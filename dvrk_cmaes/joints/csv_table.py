@@ -29,11 +29,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.instrument.inverse_kinematics import POSED_JOINTS
 from dvrk_cmaes.io.csv_file import Rows, read_csv_rows
 from dvrk_cmaes.io.short_text import is_number, listed, shown
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.joint_state import file_of_messages
-from dvrk_cmaes.joints.names import ARM_ORDER, joint_reading, joints_of_arm
+from dvrk_cmaes.joints.names import joint_reading, joints_of_arm
 from dvrk_cmaes.joints.rows import NO_TIME, JointFile, JointRow, ReadAs, RowNames
 from dvrk_cmaes.joints.times import parse_time, parse_times, time_column
 
@@ -48,7 +49,7 @@ _SECONDS: Final = re.compile(r"((?:.*\.)?)(secs?)")
 _REST: Final = ("nanosec", "nsecs", "nsec", "nanosecs")
 _FRAMES: Final = ("filename", "file_name", "file", "image", "image_name", "img", "frame_name", "frame_number")
 _PICTURE: Final = re.compile(r"(.*)\.(?:png|jpe?g|bmp|tiff?)", re.IGNORECASE | re.DOTALL)
-_NUMBERED: Final = {f"q{k}": name for k, name in enumerate(ARM_ORDER, 1)} | {"jaw_angle": "jaw"}
+_NUMBERED: Final = {f"q{k}": name for k, name in enumerate(POSED_JOINTS, 1)} | {"jaw_angle": "jaw"}
 _WITHOUT_NAME: Final = re.compile(r"|Unnamed: \d+")
 
 
@@ -255,7 +256,7 @@ def _joint_table(path: str, header: list[str], rows: Rows, read_as: ReadAs) -> J
         )
     joints = [name for name in header if name not in ("frame", time, "-")]
     if measured:
-        columns = dict(zip(ARM_ORDER, _MEASURED, strict=True))
+        columns = dict(zip(POSED_JOINTS, _MEASURED, strict=True))
     else:
         places = joints_of_arm(f"{path}: header", joints, read_as.names, read_as.arm)
         columns = {name: joints[k] for name, k in places.items()}
@@ -275,7 +276,7 @@ def _joint_table(path: str, header: list[str], rows: Rows, read_as: ReadAs) -> J
     if not found:
         raise InputError(f"{path}: expected a row for each frame, got a header only")
     if measured:
-        notes = (f"measured_q1 to measured_q6 are taken as {', '.join(ARM_ORDER)}; the jaw is not among them",)
+        notes = (f"measured_q1 to measured_q6 are taken as {', '.join(POSED_JOINTS)}; the jaw is not among them",)
         return JointFile.of(path, "measured_q1 to measured_q6 (CSV)", found, "number", notes)
     return JointFile.of(path, "joints.csv", found, "frame" if key in header else "message" if time else "number")
 

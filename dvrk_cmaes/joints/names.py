@@ -11,20 +11,16 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+from dvrk_cmaes.instrument.inverse_kinematics import POSED_JOINTS
 from dvrk_cmaes.io.arguments import check_type, checked_number
 from dvrk_cmaes.io.short_text import listed, shown
-
-OUTER_JOINTS = ("yaw", "pitch", "insertion", "roll")
-"""Joints of the arm that carries the instrument, from the base to the instrument."""
 
 WRIST_JOINTS = ("wrist_pitch", "wrist_yaw", "jaw")
 """Joints of the instrument's wrist and jaws, which the camera sees."""
 
 ECM_JOINTS = ("ecm_yaw", "ecm_pitch", "ecm_insertion", "ecm_roll")
 """Joints of the arm that holds the endoscope (ECM), from its base to the tip; insertion in m, the others in rad."""
-
-ARM_ORDER = (*OUTER_JOINTS, "wrist_pitch", "wrist_yaw")
-"""Order of the six values that the dVRK publishes as ``measured_js``; the jaw has a separate topic."""
 
 READINGS = "a mapping of joint names to readings, e.g. {'jaw': 0.5}"
 """What is expected of the readings of one time."""
@@ -116,9 +112,9 @@ def _split(name: str, names: Sequence[str]) -> tuple[str, str]:
 
 def joints_by_count(where: str, count: int) -> tuple[str, ...]:
     """Return the joints of unnamed values by their number: six of the arm, the jaw alone, or all seven."""
-    orders = {len(ARM_ORDER): ARM_ORDER, 1: ("jaw",), len(ARM_ORDER) + 1: (*ARM_ORDER, "jaw")}
+    orders = {len(POSED_JOINTS): POSED_JOINTS, 1: ("jaw",), len(POSED_JOINTS) + 1: (*POSED_JOINTS, "jaw")}
     if count not in orders:
-        raise InputError(f"{where}: expected 6 values ({', '.join(ARM_ORDER)}), 1 (jaw) or all 7, got {count}")
+        raise InputError(f"{where}: expected 6 values ({', '.join(POSED_JOINTS)}), 1 (jaw) or all 7, got {count}")
     return orders[count]
 
 

@@ -15,7 +15,8 @@ import numpy as np
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.joints.names import ECM_JOINTS, OUTER_JOINTS, check_readings
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+from dvrk_cmaes.joints.names import ECM_JOINTS, check_readings
 
 if TYPE_CHECKING:
     from dvrk_cmaes.instrument import Instrument

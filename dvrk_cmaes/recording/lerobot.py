@@ -23,7 +23,7 @@ from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.parquet_file import read_columns
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
-from dvrk_cmaes.joints.names import ARM_ORDER, joint_reading, joints_of_arm
+from dvrk_cmaes.joints.names import joint_reading, joints_of_arm
 from dvrk_cmaes.recording.camera import WITHOUT, read_camera_bytes
 from dvrk_cmaes.recording.pose_table import POSE, joints_of_poses, poses_of
 from dvrk_cmaes.recording.recording import Asked, Recording
@@ -166,9 +166,9 @@ def _fields(file: Path, info: Mapping[str, Any], arm: str | None) -> tuple[dict[
         raise InputError(f"{file}: --arm: expected one of {expected}, got {arm}")
     chosen = next(iter(arms)) if arm is None else arm.upper()
     own = [k for k in known if split[k][0] == chosen]
-    places = joints_of_arm(f"{file}: {_STATE}", [split[k][1] for k in own], (*ARM_ORDER, "jaw", *POSE))
+    places = joints_of_arm(f"{file}: {_STATE}", [split[k][1] for k in own], (*POSED_JOINTS, "jaw", *POSE))
     taken = {joint: own[place] for joint, place in places.items()}
-    posed = {*POSE} <= {*taken} and not {*ARM_ORDER} & {*taken}
+    posed = {*POSE} <= {*taken} and not {*POSED_JOINTS} & {*taken}
     taken = {name: k for name, k in taken.items() if posed or name not in POSE}
     said = [f"{_STATE} ({chosen})" if chosen else _STATE, *(f"{j}: {names[k]}" for j, k in taken.items())]
     others = listed([name for k, name in enumerate(names) if k not in taken.values()], 40)
@@ -183,9 +183,9 @@ def _joint(name: str) -> tuple[str, str]:
     if (posed := _POSED.fullmatch(plain)) is not None:
         return arm.upper(), f"{'q' if posed[1] else ''}{posed[2]}"
     if (numbered := _NUMBERED.fullmatch(plain)) is not None:
-        return arm.upper(), ARM_ORDER[int(numbered[1]) - 1]
+        return arm.upper(), POSED_JOINTS[int(numbered[1]) - 1]
     plain = _PREFIX.sub("", _PREFIX.sub("", plain, count=1), count=1)
-    return arm.upper(), plain if plain in (*ARM_ORDER, "jaw") else ""
+    return arm.upper(), plain if plain in (*POSED_JOINTS, "jaw") else ""
 
 
 def _readings(

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.geometry import Float64, exp_rotation, transform
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.instrument.endoscope import joints_of_ecm_tip
 from dvrk_cmaes.io.image_header import check_pixels, checked_header, read_header
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
-from dvrk_cmaes.joints.names import OUTER_JOINTS, accepted_names, joints_by_count, joints_of_arm
+from dvrk_cmaes.joints.names import accepted_names, joints_by_count, joints_of_arm
 
 # bytes per pixel, and OpenCV's conversion to BGR or grey; ROS names Bayer patterns by the top-left 2 x 2 pixels
 _ENCODINGS: dict[str, tuple[int, int | None]] = {

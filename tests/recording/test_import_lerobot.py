@@ -16,8 +16,7 @@ from helpers.commands import Ran, run_command
 from scipy.spatial.transform import RigidTransform
 
 from dvrk_cmaes import read_session
-from dvrk_cmaes.instrument.arm import base_from_root, root_from_tip
-from dvrk_cmaes.joints.names import OUTER_JOINTS
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS, base_from_root, root_from_tip
 
 KEY = "observation.images.left"
 NAMES = ["PSM1.outer_yaw", "psm1_pitch", *(f"psm1_joint_{k}" for k in range(3, 7)), "psm1_jaw", "psm2_yaw", "force"]
