@@ -6,7 +6,7 @@ separates the wrist from the shaft.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -49,18 +49,25 @@ def resized(flags: Bool, size: tuple[int, int]) -> Bool:
 
 def meets_border(mask: Bool, outside: Bool) -> bool:
     """Whether a mask (H, W) meets the image's border or the pixels ``outside`` (H, W) the field of view."""
-    around = cv2.dilate(outside.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    return int(_on_sides(mask).sum() + (around & mask).sum()) >= _LEAST_BORDER
+    return int(_border(outside)[mask].sum()) >= _LEAST_BORDER
 
 
 def sides_met(mask: Bool) -> int:
     """Return the number of the image's sides that a mask (H, W) meets with at least 5 pixels."""
-    return int((_on_sides(mask) >= _LEAST_BORDER).sum())
+    return sum(int(side.sum()) >= _LEAST_BORDER for side in _sides(mask))
 
 
-def _on_sides(mask: Bool) -> NDArray[np.int64]:
-    """Count the pixels of a mask (H, W) on the left, top, right and bottom border of the image, (4,)."""
-    return np.array([side.sum() for side in (mask[:, 0], mask[0], mask[:, -1], mask[-1])])
+def _sides(image: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+    """Return the left, top, right and bottom side of an image (H, W)."""
+    return image[:, 0], image[0], image[:, -1], image[-1]
+
+
+def _border(outside: Bool) -> NDArray[np.uint8]:
+    """Count the sides of the image that each pixel (H, W) is on, and the edge of the field of view next to it."""
+    border = np.asarray(cv2.dilate(outside.astype(np.uint8), np.ones((3, 3), np.uint8)), np.uint8)
+    for side in _sides(border):
+        side += 1
+    return border
 
 
 def instrument_region(mask: Bool, gap: float, prompts: Prompts) -> Bool:
@@ -89,11 +96,8 @@ def instrument_region(mask: Bool, gap: float, prompts: Prompts) -> Bool:
     marked = {int(labels[round(v), round(u)]) for u, v in prompts.points} - {0}
     areas = measures[:, cv2.CC_STAT_AREA].astype(np.float64)
     areas[0] = 0
-
-    def weighted(i: int) -> float:
-        return float(areas[i]) * (1.0 if meets_border(labels == i, prompts.outside) else _INSIDE_SHARE)
-
-    chosen = marked or {max(range(1, count), key=weighted)}
+    at_border = np.bincount(labels.ravel(), _border(prompts.outside).ravel()) >= _LEAST_BORDER
+    chosen = marked or {int((areas * np.where(at_border, 1.0, _INSIDE_SHARE)).argmax())}
     first = np.isin(np.arange(count), list(chosen))
     pieces = (first | (areas >= _LEAST_SHARE * areas[first].max()) & (areas > 0))[labels]
     _, joined = cv2.connectedComponents((distance_to(pieces) <= gap / 2).astype(np.uint8), connectivity=8)

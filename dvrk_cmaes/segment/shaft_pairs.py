@@ -147,6 +147,10 @@ class _Line:
     def length(self) -> float:
         return float((self.stretches[:, 1] - self.stretches[:, 0]).sum())
 
+    def along(self, direction: Float64, stretches: Float64) -> Float64:
+        """Return the coordinates along a direction (2,), px, of the beginnings and ends (..., 2) of its stretches."""
+        return np.sort(stretches * (self.direction @ direction) + self.point @ direction, axis=-1)
+
 
 def _joined(segments: Float64, near: float) -> list[_Line]:
     """Join segments (N, 2, 2) to lines, longest first; each is on the line that begins with the longest of them."""
@@ -218,15 +222,15 @@ def _sides(first: _Line, second: _Line, camera: Camera, radius: float) -> _Sides
         return None
     along = first.direction + np.sign(cosine) * second.direction
     along /= np.linalg.norm(along)
-    one, other = (line.stretches * (line.direction @ along) + line.point @ along for line in (first, second))
-    low, high = max(one.min(), other.min()), min(one.max(), other.max())
+    one, other = (line.along(along, line.stretches[[0, -1], [0, 1]]) for line in (first, second))
+    low, high = max(one[0], other[0]), min(one[1], other[1])
     sides = _Sides(first, second, along, (low + high) / 2, 0.0)
     width = sides.across(first) - sides.across(second)
     focal = float(np.sqrt(camera.fx * camera.fy))
     widest, narrowest = (2 * radius * focal / depth for depth in _DEPTHS)
     if not max(narrowest, _NARROWEST) < abs(width) < widest or high - low < _LEAST_OVERLAP * abs(width):
         return None
-    one, other = np.sort(one, axis=1), np.sort(other, axis=1)
+    one, other = first.along(along, first.stretches), second.along(along, second.stretches)
     begin, end = np.maximum(one[:, None, 0], other[:, 0]), np.minimum(one[:, None, 1], other[:, 1])
     support = float(np.maximum(end - begin, 0).sum()) + 0.25 * (high - low)
     upper, lower = (first, second) if width > 0 else (second, first)

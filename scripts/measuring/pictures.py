@@ -210,7 +210,7 @@ def _row(picture: Picture, *, poses: bool) -> dict[str, Any]:
         "half": "tuned" if picture.tuned else "other",
         "picture": picture.name,
         "right": picture.shows(mask.mask),
-        "confidence": mask.confidence,
+        "confidence": float(mask.confidence),
         "instruments": 1 + len(mask.others),
         "pose right": right,
         "status": status,
