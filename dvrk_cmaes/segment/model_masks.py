@@ -41,6 +41,7 @@ _KNOWN: Final = 0.8, 2.0  # weights of the log-odds by these colours, where the 
 _DEEP: Final = 2.0  # px within the first outline, beyond which the second weight holds: edges lose thin jaws
 _LARGEST_BY_PROMPT: Final = 0.3  # of the picture, that colours about a prompt may take
 _ALIKE: Final = 0.3  # overlap with any candidate, below which a mask has no likeness of an instrument
+_ALIKE_BY_PROMPT: Final = 0.5  # likewise, with a prompt, with those that fit it
 _UNLIKE: Final = 0.4  # confidence of such a mask
 _POSSIBLE: Final = 0.1
 """Confidence of a candidate below which it is none: of 21 none is right there, of 21 from there to `GUESS` one."""
@@ -121,14 +122,15 @@ def segment_by_model(
     about = roughly.mask if sure and roughly.mask.any() and not roughly.mask.all() else None
     candidates = find_instruments(image, prompts, body, camera, joints, about, foreground, expected)
     likely = candidates[: max((k for k, each in enumerate(candidates, 1) if each.confidence >= GUESS), default=0)]
-    found = [each for each in likely if _fits(each, prompts, image)] if expected is None else candidates[:1]
+    fitting = [each for each in candidates if _fits(each, prompts, image)]
+    found = [each for each in fitting if each in likely] if expected is None else candidates[:1]
 
     @cache
     def by_colours() -> Segmentation:
-        return _judged(otherwise(), candidates, prompts, body, camera)
+        return _judged(otherwise(), fitting, prompts, body, camera)
 
     if not found:
-        last, best = by_colours(), next((each for each in candidates if _fits(each, prompts, image)), None)
+        last, best = by_colours(), next(iter(fitting), None)
         sure_by_colours = last.mask.any() and (not prompts.given or last.confidence >= GUESS)
         if sure_by_colours or best is None or best.confidence < _POSSIBLE:
             return last
@@ -170,12 +172,16 @@ def segment_by_model(
 def _judged(
     other: Segmentation, candidates: Sequence[Candidate], prompts: Prompts, body: Body, camera: Camera
 ) -> Segmentation:
-    """Return a mask by other means, as a guess where nothing is like an instrument; none that fills the picture."""
+    """Return a mask by other means, as a guess where nothing is like an instrument; none that fills the picture.
+
+    About a prompt it is one of a candidate there, or a guess: colours near a point may be those of tissue.
+    """
     if prompts.given and other.mask.mean() > _LARGEST_BY_PROMPT:
         return nothing_found(other.mask.shape)
-    if other.confidence < GUESS or any(_overlap(each, other.mask) > _ALIKE for each in candidates):
+    least, shaft = _ALIKE_BY_PROMPT if prompts.given else _ALIKE, body.instrument.shaft
+    if other.confidence < GUESS or any(_overlap(each, other.mask) > least for each in candidates):
         return other
-    if body.instrument.shaft is not None and pair_of_mask(other.mask, camera, body.instrument.shaft.radius):
+    if not prompts.given and shaft is not None and pair_of_mask(other.mask, camera, shaft.radius):
         return other
     return replace(other, confidence=_UNLIKE, notes=(*other.notes, "its shape is not the instrument's"))
 
