@@ -16,6 +16,7 @@ import numpy as np
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import ecm_readings
+from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.names import ECM_JOINTS
@@ -50,15 +51,16 @@ class MaskShape:
     @classmethod
     def of(cls, mask: Bool) -> MaskShape:
         """Measure a mask (H, W)."""
-        pixels = np.ascontiguousarray(mask).view(np.uint8)
+        if not mask.any():
+            return NOTHING
+        left, top, width, height = window_around(mask, 1)
+        pixels = np.ascontiguousarray(mask[top : top + height, left : left + width]).view(np.uint8)
         moments = cv2.moments(pixels, binaryImage=True)
         area = moments["m00"]
-        if not area:
-            return NOTHING
         border = sum(int(np.count_nonzero(side)) for side in (mask[0], mask[-1], mask[:, 0], mask[:, -1]))
         inner = cv2.erode(pixels, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
         inside = area - int(np.count_nonzero(inner))
-        return cls(area, border / max(border + inside, 1), (moments["m10"] / area, moments["m01"] / area))
+        return cls(area, border / max(border + inside, 1), (left + moments["m10"] / area, top + moments["m01"] / area))
 
 
 NOTHING: Final = MaskShape(0.0, 1.0, (np.nan, np.nan))
