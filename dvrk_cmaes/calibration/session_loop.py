@@ -59,6 +59,7 @@ _OTHER_TIP: Final = (
 _HAND_EYE: Final = 10  # unknowns that do not differ from place to place
 _LEAST_TESTED = 6  # frames, by which a camera is tested
 _NOT_ASKED = "camera: not tested, as the settings say"
+_LEAST_COUNTED = 0.5  # of the frames that explain their masks at the file's camera, by which another one is found
 _LEAST_AGREEING = 0.7  # of the frames, from which on others are predicted from them
 
 
@@ -304,9 +305,9 @@ def checked(arms: Arms) -> Arms:
     """Check camera, instrument and other blocks of arms that are solved, and note what is found of the camera.
 
     Where a camera that is not used is not plausible, only what the frames show at that of the file is left, which may
-    contradict it or say nothing. Where that is not plausible either, or no outlines explain their masks with the camera
-    that is found, only the margin of the masks is determined. The evidence of the returned arms is as seen by the
-    camera that is used.
+    contradict it or say nothing. Where that is not plausible either, or far fewer outlines explain their masks with the
+    camera that is found, only the margin of the masks is determined. The evidence of the returned arms is as seen by
+    the camera that is used.
     """
     for arm in arms:
         arm.setup.progress("checking the camera", len(arm.frames))
@@ -316,11 +317,10 @@ def checked(arms: Arms) -> Arms:
     if not session.test_camera and not refined:
         reason = _NOT_ASKED
     passes = 1 if refined or reason == _NOT_ASKED else _PASSES
-    found = _tested(arms, passes)
-    lost = False
-    if far := passes > 1 and not all(own.is_plausible for own in found):
-        counted, found = all(own.is_counted for own in found), _tested(arms, passes=1)
-        lost = not counted or not all(own.is_plausible for own in found)
+    found, at_file = _tested(arms, passes), _tested(arms, passes=1)
+    lost = any(own.counted < _LEAST_COUNTED * first.counted for own, first in zip(found, at_file, strict=True))
+    if far := passes > 1 and (lost or not all(own.is_plausible for own in found)):
+        found, lost = at_file, lost or not all(own.is_plausible for own in at_file)
     out = [_checked(*each, reason, far=far, lost=lost) for each in zip(arms, found, strict=True)]
     return [_with_evidence(arm) for arm in out] if refined else out
 

@@ -31,7 +31,6 @@ from dvrk_cmaes.pose.terms.term import Quadratic
 _ROBUST = 2.0
 """Scale of the Geman-McClure weights, in expected errors: a frame's weight is 1 up to one and 0.4 at two."""
 
-_LEAST_COUNTED = 3  # outlines that explain their masks, by which blocks are estimated
 _SETTLED = 0.25  # standard deviations of the blocks, below which the outlines are not linearised again
 _MOST_STEPS = 30  # of an estimation; where weights of outliers fall, it converges slowly
 
@@ -206,13 +205,13 @@ class Solved(ArmFrames):
 
     @property
     def is_plausible(self) -> bool:
-        """Whether enough outlines explain their masks, and the blocks are near enough to where these are linearised."""
-        return self.is_counted and all(block.is_plausible(self.value(block.name)) for block in self.calibration.tested)
+        """Whether the blocks are near enough to where the outlines are linearised."""
+        return all(block.is_plausible(self.value(block.name)) for block in self.calibration.tested)
 
     @property
-    def is_counted(self) -> bool:
-        """Whether enough outlines explain their masks for an estimate of blocks."""
-        return int(self.fits.outlines.information.any(axis=(1, 2)).sum()) >= _LEAST_COUNTED
+    def counted(self) -> int:
+        """Number of frames whose outlines explain their masks, and count."""
+        return int(self.fits.outlines.information.any(axis=(1, 2)).sum())
 
     @property
     def is_settled(self) -> bool:
