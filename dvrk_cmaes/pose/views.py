@@ -111,6 +111,8 @@ def held_in(view: FrameView, at: Posed) -> Bool | None:
     if width is None or not shown.any() or (shown & evidence.mask).sum() < _COVERED * shown.sum():
         return None
     away = cv2.distanceTransform((~silhouette).astype(np.uint8), cv2.DIST_L2, 5)
+    if not (evidence.mask & (away > _REACH * width)).any():
+        return None
     beyond = (evidence.mask & (away > _NEAR_PX)).astype(np.uint8)
     thickness = 2 * cv2.distanceTransform(beyond, cv2.DIST_L2, 5)
     parts = np.asarray(cv2.connectedComponents(beyond, connectivity=8)[1], np.intp)
