@@ -152,13 +152,7 @@ def estimate_views(
     ``named``: whether the result says which views were used, and which not.
     """
     settings, arm, session = method.config, method.arm, method.session
-    check_config(settings)
-    check_arm(arm)
-    if session is not None:
-        _check_session(session, prepare(instrument).instrument.name, None if arm == "classic" else arm)
-    if start is not None:
-        check_type("start", start, Result, "a Result")
-    body = prepare(instrument)
+    body = _prepared(instrument, method, start)
     bodies = body, decimated_body(body, settings.search.detail_m)
     started = perf_counter()
     model, given = body.instrument, {} if joints is None else joints
@@ -188,6 +182,7 @@ def estimate_views(
         status="doubtful" if reasons else "ok",
         reasons=reasons,
         **model.stated,
+        **found.stated,
         camera_from_root=found.at.pose,
         joints=dict(zip(model.joint_names, found.at.joints.tolist(), strict=True)),
         readings=given,
@@ -196,20 +191,12 @@ def estimate_views(
         unused=(*(left_out_views(seen) if named else ()), *_unused_evidence(views), *unused),
         camera_from_base=base,
         source=source,
-        quality=found.quality,
         time=time,
         tips=tips,
         tips_px=tips_px,
-        covariance=found.covariance,
-        expected_error=found.expected_error,
-        mode_probability=found.mode_probability,
-        tip_probability=found.tip_probability,
-        alternatives=found.alternatives,
         views=tuple(view.name for view in views) if named else (),
         view_fits=found.views if len(views) > 1 else (),
         seconds=perf_counter() - started,
-        evaluations=found.evaluations,
-        rays=found.rays,
         seed=settings.seed,
         version=__version__,
         config={**settings.as_dict(), "instrument": model.describe_limits(arm)},
@@ -221,6 +208,18 @@ def estimate_views(
     from dvrk_cmaes.calibration.session_doubts import resting_on
 
     return resting_on(result, session)
+
+
+def _prepared(instrument: Instrument | Body | str | Path, method: FrameMethod, start: Result | None) -> Body:
+    """Prepare an instrument, and check the method for it and what to start from; `InputError` as `estimate`."""
+    check_config(method.config)
+    check_arm(method.arm)
+    body = prepare(instrument)
+    if method.session is not None:
+        _check_session(method.session, body.instrument.name, None if method.arm == "classic" else method.arm)
+    if start is not None:
+        check_type("start", start, Result, "a Result")
+    return body
 
 
 def _searched(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -57,6 +58,12 @@ class FoundPose:
     camera_from_base: Float64 | None = None
     views: tuple[ViewCheck, ...] = ()
     notes: tuple[str, ...] = ()
+
+    @property
+    def stated(self) -> dict[str, Any]:
+        """What a result states by the names of these fields."""
+        names = ["covariance", "quality", "expected_error", "tip_probability", "mode_probability", "alternatives"]
+        return {name: getattr(self, name) for name in (*names, "evaluations", "rays")}
 
 
 def find_pose(
