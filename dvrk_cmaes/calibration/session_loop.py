@@ -270,7 +270,7 @@ def _with_seen(arms: Arms, *, last: bool) -> Arms:
     camera's estimate is not plausible at ``last``.
     """
     refine, out = arms[0].setup.refine_camera, list[ArmSession]()
-    estimates = _tested(arms)
+    _, estimates = _tested(arms)
     if not all(own.is_plausible for own in estimates):
         if last:
             raise arms[0].camera_refused(IMPLAUSIBLE)
@@ -286,19 +286,22 @@ def _with_seen(arms: Arms, *, last: bool) -> Arms:
     return out
 
 
-def _tested(arms: Arms, passes: int = _PASSES) -> list[Solved]:
+def _tested(arms: Arms, passes: int = _PASSES) -> tuple[list[Solved], list[Solved]]:
     """Estimate the blocks that are tested with the calibrations of arms, by few of many frames.
 
-    Frames are fitted again with the blocks that are found, until these are settled.
+    Returns the estimates by the outlines as they are linearised at the values in use, and by those of frames that are
+    fitted again with the blocks that are found, until these are settled.
     """
     arms = [arm.subset(evenly_spaced(len(arm.frames), _FEW)) for arm in arms]
-    for left in reversed(range(passes)):
-        found = solve_with_variances([arm.outlines(tested=True) for arm in arms], arms[0].setup.config.session)
-        if not left or all(own.is_settled for own in found) or not all(own.is_plausible for own in found):
+    config = arms[0].setup.config.session
+    first = found = solve_with_variances([arm.outlines(tested=True) for arm in arms], config)
+    for _ in range(passes - 1):
+        if all(own.is_settled for own in found) or not all(own.is_plausible for own in found):
             break
         pairs = zip(arms, found, strict=True)
         arms = [_fitted(arm.with_solution(own, moved=own.at, seen=own.calibration.values)) for arm, own in pairs]
-    return found
+        found = solve_with_variances([arm.outlines(tested=True) for arm in arms], config)
+    return first, found
 
 
 def checked(arms: Arms) -> Arms:
@@ -317,7 +320,7 @@ def checked(arms: Arms) -> Arms:
     if not session.test_camera and not refined:
         reason = _NOT_ASKED
     passes = 1 if refined or reason == _NOT_ASKED else _PASSES
-    found, at_file = _tested(arms, passes), _tested(arms, passes=1)
+    at_file, found = _tested(arms, passes)
     lost = any(own.counted < _LEAST_COUNTED * first.counted for own, first in zip(found, at_file, strict=True))
     if far := passes > 1 and (lost or not all(own.is_plausible for own in found)):
         found, lost = at_file, lost or not all(own.is_plausible for own in at_file)
