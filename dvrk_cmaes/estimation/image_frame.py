@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -32,9 +32,15 @@ _ITERATIONS = 2  # segmentations after the first
 _LEAST_OVERLAP = 0.8  # intersection over union of silhouette and mask, below which the silhouette is no prior
 
 
-_FoundMask = tuple[SeenView, Segmentation, Result | None]
-"""A view with the mask found in its image, how it was found, and the result of this view alone, without jaw tips and
-session, if that is known."""
+class _FoundMask(NamedTuple):
+    """A view with the mask found in its image, how it was found, and the result of the mask if it is known.
+
+    ``result`` is that of this view alone, without jaw tips and session.
+    """
+
+    view: SeenView
+    segmentation: Segmentation
+    result: Result | None
 
 
 def segment_and_estimate(data: FrameData, body: Body, method: FrameMethod) -> tuple[FrameData, Segmentation, Result]:
@@ -74,13 +80,13 @@ def segment_and_estimate(data: FrameData, body: Body, method: FrameMethod) -> tu
     for view in data.views:
         own = files.hints
         if found:
-            own = prompts_in(view, found[0][0], own, body, several=bool(found[0][1].others))
+            own = prompts_in(view, found[0].view, own, body, several=bool(found[0].segmentation.others))
         try:
             found.append(_find_mask(view, body, files, solve, settings, own, method.config.threads))
         except DvrkCmaesError as error:
             raise type(error)(f"{files.others.get(view.name, files).picture}: {error}") from None
     (first, segmentation, result), alone = found[0], len(found) == 1
-    data = replace(data, views=tuple(view for view, _, _ in found), notes=(*data.notes, *segmentation.notes))
+    data = replace(data, views=tuple(each.view for each in found), notes=(*data.notes, *segmentation.notes))
     seconds = perf_counter() - started
     result = result if alone and first.keypoints is None and session is None else None
     if result is None:
@@ -132,7 +138,7 @@ def _find_mask(
     """Find the mask in the image of a view; a view without an image stays as it is."""
     image = view.image
     if image is None:
-        return view, Segmentation(view.mask), None
+        return _FoundMask(view, Segmentation(view.mask), None)
     found = segment_view(view, files, hints, body, settings, threads)
     view = replace(view, mask=found.mask, given=True)
     if not view.shows:
@@ -157,4 +163,4 @@ def _find_mask(
     means = f"by the {settings.model} model" if found.before is None else f"by its {found.before}"
     how = f"mask found in the image {means}, confidence {found.confidence:.2f}"
     found = replace(found, mask=view.mask, notes=(how, *found.notes))
-    return view, found, result
+    return _FoundMask(view, found, result)
